@@ -1,0 +1,8 @@
+"""Worlds and tasks in pure JAX, built by `make(id)`."""
+
+from envs_jax import minigrid as minigrid
+from envs_jax.registry import ids as ids
+from envs_jax.registry import make as make
+from envs_jax.registry import register as register
+
+__all__ = ["ids", "make", "minigrid", "register"]

@@ -1,0 +1,1 @@
+"""MiniGrid and BabyAI in pure JAX: same ids, dynamics, observations, missions and rewards."""

@@ -1,0 +1,304 @@
+"""A POMDP in four replaceable parts: environment, task, task sampler and sensors.
+
+Every part is a frozen, hashable dataclass of static choices; all that changes is a pytree of arrays
+that its pure functions take and return. One lane (one world) is the unit: `jax.vmap` makes a batch.
+Worlds never reset themselves; whoever steps them decides when the next episode begins.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+from flax.core import FrozenDict
+
+from jaxact.errors import JaxactError
+from jaxact.spaces import Dict, Space
+
+PyTree = Any
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Episode:
+    """What a task sampler yields: where an episode begins and when its time is up.
+
+    Attributes:
+      environment: the environment's first state.
+      task: the task's first state.
+      horizon: int32 scalar, steps after which the episode is truncated.
+    """
+
+    environment: PyTree
+    task: PyTree
+    horizon: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class State:
+    """An episode in progress.
+
+    Attributes:
+      environment: the environment's state.
+      task: the task's state.
+      steps: int32 scalar, steps taken so far.
+      horizon: int32 scalar, steps after which the episode is truncated.
+    """
+
+    environment: PyTree
+    task: PyTree
+    steps: jax.Array
+    horizon: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Outcome:
+    """What a task says of one step.
+
+    Attributes:
+      reward: named float32 components; the reward is their sum.
+      success: named bool goal conditions; the episode succeeds when all hold.
+      terminated: bool, whether the task has ended (its horizon is not the task's business).
+      metrics: named float32 task metrics, for example SPL.
+    """
+
+    reward: Mapping[str, jax.Array]
+    success: Mapping[str, jax.Array]
+    terminated: jax.Array
+    metrics: Mapping[str, jax.Array]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ExpertAction:
+    """An expert's advice.
+
+    Attributes:
+      action: a value of the action space.
+      valid: bool scalar, false where the expert abstains (the action is then to be ignored).
+    """
+
+    action: PyTree
+    valid: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Step:
+    """The result of one step.
+
+    Attributes:
+      observation: named arrays, one for each sensor, of the state just reached (at the end of an
+        episode: its final observation).
+      reward: float32 scalar, the sum of `reward_terms`.
+      reward_terms: named float32 components.
+      terminated: bool, the task has ended; nothing is bootstrapped.
+      truncated: bool, the horizon was reached; both flags may be true.
+      success: bool, all goal conditions hold.
+      metrics: named float32 task metrics.
+    """
+
+    observation: dict[str, jax.Array]
+    reward: jax.Array
+    reward_terms: Mapping[str, jax.Array]
+    terminated: jax.Array
+    truncated: jax.Array
+    success: jax.Array
+    metrics: Mapping[str, jax.Array]
+
+    @property
+    def finished(self) -> jax.Array:
+        """Bool: the episode is over, for either reason."""
+        return self.terminated | self.truncated
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class FinishedEpisodes:
+    """How episodes ended, as told to `TaskSampler.update`; leading axes are [time, lane].
+
+    Attributes:
+      mask: bool, true where an episode ended at that step; elsewhere the rest is meaningless.
+      success: bool.
+      episode_return: float32, sum of rewards.
+      length: int32, steps.
+      task: the task's state at the end.
+    """
+
+    mask: jax.Array
+    success: jax.Array
+    episode_return: jax.Array
+    length: jax.Array
+    task: PyTree
+
+
+class Environment(ABC):
+    """The transition function. It knows no goals, rewards, horizons or sensors."""
+
+    @property
+    @abstractmethod
+    def action_space(self) -> Space:
+        """The actions `step` takes."""
+
+    @abstractmethod
+    def step(self, key: jax.Array, state: PyTree, action: PyTree) -> PyTree:
+        """Returns the state that follows `state` under `action`."""
+
+
+class Task(ABC):
+    """The reward and the end of an episode. It knows nothing of learning or sampling.
+
+    A task that can be demonstrated also defines `expert`; see `Expert`.
+    """
+
+    @abstractmethod
+    def step(
+        self, task_state: PyTree, before: PyTree, action: PyTree, after: PyTree
+    ) -> tuple[PyTree, Outcome]:
+        """Judges the step from environment state `before` to `after`."""
+
+
+@runtime_checkable
+class Expert(Protocol):
+    """A task that can say what to do."""
+
+    def expert(self, key: jax.Array, task_state: PyTree, state: PyTree) -> ExpertAction:
+        """Returns the expert's action in environment state `state`."""
+        ...
+
+
+class TaskSampler(ABC):
+    """The distribution of episodes: a pure function of a key and of the sampler's own state.
+
+    A sampler that does not learn from how episodes went needs only `sample`.
+    """
+
+    def init(self, key: jax.Array) -> PyTree:
+        """Returns the sampler's first state; by default it has none."""
+        del key
+        return ()
+
+    @abstractmethod
+    def sample(self, key: jax.Array, sampler_state: PyTree) -> Episode:
+        """Draws one episode."""
+
+    def update(self, sampler_state: PyTree, finished: FinishedEpisodes) -> PyTree:
+        """Learns from finished episodes, once per rollout; by default nothing."""
+        del finished
+        return sampler_state
+
+
+class Sensor(ABC):
+    """One named part of the observation. It may look at the world and at the task."""
+
+    @property
+    @abstractmethod
+    def space(self) -> Space:
+        """Shape, dtype and bounds of what `observe` returns."""
+
+    @abstractmethod
+    def observe(self, state: PyTree, task_state: PyTree) -> jax.Array:
+        """Returns the reading in environment state `state`."""
+
+
+@dataclass(frozen=True)
+class POMDP:
+    """Environment, task, sampler and sensors, composed.
+
+    Any part can be exchanged with `dataclasses.replace(pomdp, task=...)`. All methods are pure and
+    work on one lane; `jax.vmap` them for a batch and `jax.jit` them for speed.
+    """
+
+    environment: Environment
+    task: Task
+    sampler: TaskSampler
+    sensors: Mapping[str, Sensor]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sensors", FrozenDict(sorted(self.sensors.items())))
+
+    @property
+    def action_space(self) -> Space:
+        """The environment's actions."""
+        return self.environment.action_space
+
+    @property
+    def observation_space(self) -> Dict:
+        """One named space for each sensor."""
+        return Dict({name: sensor.space for name, sensor in self.sensors.items()})
+
+    @property
+    def has_expert(self) -> bool:
+        """Whether the task can demonstrate itself."""
+        return isinstance(self.task, Expert)
+
+    def reset(
+        self, key: jax.Array, sampler_state: PyTree | None = None
+    ) -> tuple[State, dict[str, jax.Array]]:
+        """Samples an episode; returns its first state and observation.
+
+        Without `sampler_state` the sampler starts afresh.
+        """
+        init_key, sample_key = jax.random.split(key)
+        if sampler_state is None:
+            sampler_state = self.sampler.init(init_key)
+        state = self.begin(self.sampler.sample(sample_key, sampler_state))
+        return state, self.observe(state)
+
+    def begin(self, episode: Episode) -> State:
+        """Returns the first state of an episode."""
+        horizon = jnp.asarray(episode.horizon, jnp.int32)
+        return State(episode.environment, episode.task, jnp.zeros_like(horizon), horizon)
+
+    def step(self, key: jax.Array, state: State, action: PyTree) -> tuple[State, Step]:
+        """Takes one step; never resets.
+
+        Args:
+          key: a PRNG key, for worlds with chance in them.
+          state: the state to step from.
+          action: a value of `action_space`.
+
+        Returns:
+          The next state, and what was observed and earned.
+        """
+        environment = self.environment.step(key, state.environment, action)
+        task, outcome = self.task.step(state.task, state.environment, action, environment)
+        steps = state.steps + 1
+        state = State(environment, task, steps, state.horizon)
+        reward = sum(outcome.reward.values(), start=jnp.float32(0))
+        success = jnp.all(jnp.stack(list(outcome.success.values())), axis=0)
+        return state, Step(
+            observation=self.observe(state),
+            reward=reward,
+            reward_terms=outcome.reward,
+            terminated=outcome.terminated,
+            truncated=steps >= state.horizon,
+            success=success,
+            metrics=outcome.metrics,
+        )
+
+    def observe(self, state: State) -> dict[str, jax.Array]:
+        """Returns the reading of every sensor."""
+        return {
+            name: sensor.observe(state.environment, state.task)
+            for name, sensor in self.sensors.items()
+        }
+
+    def expert(self, key: jax.Array, state: State) -> ExpertAction:
+        """Returns the task's own advice.
+
+        Raises:
+          JaxactError: the task has no expert.
+        """
+        if not isinstance(self.task, Expert):
+            raise JaxactError(
+                f"{type(self.task).__name__} has no expert: imitation, teacher forcing and expert "
+                "evaluation need a task with a method expert(key, task_state, state)"
+            )
+        return self.task.expert(key, state.task, state.environment)
