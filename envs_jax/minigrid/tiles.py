@@ -1,8 +1,9 @@
 """Cells of a grid world, packed into one byte: type in the low four bits, colour in the next three.
 
 Types and colours carry MiniGrid's own numbers (`minigrid.core.constants`), except that a door's
-state is folded into its type: an open door is 4, a closed one 11, a locked one 12. MiniGrid's
-(type, colour, state) triple is recovered by `decode`.
+state is folded into its type: an open door is 4, a closed one 11, a locked one 12, and one that
+stands open although its lock was never turned 13 (no generator makes it; code that opens a
+door by hand can). MiniGrid's (type, colour, state) triple is recovered by `decode`.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 UNSEEN, EMPTY, WALL, FLOOR, OPEN_DOOR, KEY, BALL, BOX, GOAL, LAVA, AGENT = range(11)
-CLOSED_DOOR, LOCKED_DOOR = 11, 12
-NUM_TYPES = 13
+CLOSED_DOOR, LOCKED_DOOR, OPEN_LOCKED_DOOR = 11, 12, 13
+NUM_TYPES = 14
 
 RED, GREEN, BLUE, PURPLE, YELLOW, GREY = range(6)
 NUM_COLORS = 6
@@ -39,7 +40,7 @@ _codes = np.arange(256)
 _types = _codes & TYPE_MASK
 ENCODING = np.stack(
     [
-        np.where((_types == CLOSED_DOOR) | (_types == LOCKED_DOOR), OPEN_DOOR, _types),
+        np.where((_types >= CLOSED_DOOR) & (_types <= OPEN_LOCKED_DOOR), OPEN_DOOR, _types),
         _codes >> COLOR_SHIFT,
         np.select([_types == CLOSED_DOOR, _types == LOCKED_DOOR], [1, 2], 0),
     ],

@@ -1,0 +1,1 @@
+"""Distributions of levels, one module a family."""

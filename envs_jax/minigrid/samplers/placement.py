@@ -1,0 +1,147 @@
+"""What the samplers share: walled rooms, uniform placement, reachability, first states.
+
+Levels are drawn on an unpadded plane uint8[width, height] of packed tiles, indexed [x, y]. All work
+is of fixed size: a cell is chosen by its rank among the free ones, never by trying.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from envs_jax.minigrid import tiles
+from envs_jax.minigrid.state import PADDING, GridState
+from envs_jax.minigrid.tasks import GoalState
+from jaxact.pomdp import Episode
+
+
+def walled(width: int, height: int) -> np.ndarray:
+    """Returns an empty plane uint8[width, height] with walls round it."""
+    plane = np.full((width, height), tiles.WALL_TILE, np.uint8)
+    plane[1:-1, 1:-1] = tiles.EMPTY_TILE
+    return plane
+
+
+def uniform_int(draw: jax.Array, low: jax.Array | int, high: jax.Array | int) -> jax.Array:
+    """Turns a uniform `draw` in [0, 1) into a uniform int32 in low … high − 1."""
+    span = jnp.asarray(high, jnp.int32) - jnp.asarray(low, jnp.int32)
+    # A float32 product can round up to `span` itself.
+    rank = jnp.minimum((draw * span.astype(jnp.float32)).astype(jnp.int32), span - 1)
+    return jnp.asarray(low, jnp.int32) + rank
+
+
+def choose_cell(draw: jax.Array, free: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Chooses a cell uniformly.
+
+    Args:
+      draw: uniform float32 in [0, 1), the only randomness.
+      free: bool[width, height], the cells to choose from.
+
+    Returns:
+      int32[2] position, and a bool: false when there is no free cell (the position then means
+      nothing).
+    """
+    ranks = jnp.cumsum(free.reshape(-1), dtype=jnp.int32)
+    chosen = uniform_int(draw, 0, ranks[-1])
+    index = jnp.sum(ranks <= chosen, dtype=jnp.int32)
+    return jnp.stack([index // free.shape[1], index % free.shape[1]]), ranks[-1] > 0
+
+
+def at(position: jax.Array, shape: tuple[int, ...]) -> jax.Array:
+    """Returns bool[width, height], true at `position` alone."""
+    x = jnp.arange(shape[0], dtype=jnp.int32)[:, None] == position[0]
+    return x & (jnp.arange(shape[1], dtype=jnp.int32)[None, :] == position[1])
+
+
+def put(plane: jax.Array, position: jax.Array, code: jax.Array | int) -> jax.Array:
+    """Returns `plane` with the packed tile `code` at `position`."""
+    return jnp.where(at(position, plane.shape), jnp.asarray(code, plane.dtype), plane)
+
+
+def objects_reachable(plane: jax.Array, position: jax.Array) -> jax.Array:
+    """Returns a bool: the agent can get next to everything without moving anything.
+
+    Doors count as open, whatever their state; walls need not be reached.
+
+    Source: `RoomGridLevel.check_objs_reachable` of minigrid 3.2.0.
+    """
+    kinds = plane & tiles.TYPE_MASK
+    door = (kinds == tiles.OPEN_DOOR) | (
+        (kinds >= tiles.CLOSED_DOOR) & (kinds <= tiles.OPEN_LOCKED_DOOR)
+    )
+    open_rows = _rows((kinds == tiles.EMPTY) | door)
+    objects = _rows((kinds != tiles.EMPTY) & (kinds != tiles.WALL))
+    start = _rows(at(position, plane.shape))
+
+    def spread(rows: jax.Array) -> jax.Array:
+        edge = jnp.zeros((1,), rows.dtype)
+        beside = jnp.concatenate([rows[1:], edge]) | jnp.concatenate([edge, rows[:-1]])
+        return rows | rows << 1 | rows >> 1 | beside
+
+    def grow(rows: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        return rows[1], rows[1] | spread(rows[1]) & open_rows
+
+    reached, _ = jax.lax.while_loop(
+        lambda rows: jnp.any(rows[0] != rows[1]), grow, (jnp.zeros_like(start), start)
+    )
+    return jnp.all(objects & ~spread(reached) == 0)
+
+
+def _rows(cells: jax.Array) -> jax.Array:
+    """Packs bool[width, height] into uint32[width], bit y for cell y (height ≤ 32)."""
+    bits = jnp.uint32(1) << jnp.arange(cells.shape[1], dtype=jnp.uint32)
+    return jnp.sum(jnp.where(cells, bits, jnp.uint32(0)), axis=1, dtype=jnp.uint32)
+
+
+def until_valid(key: jax.Array, draw: Callable[[jax.Array], tuple[Any, jax.Array]]) -> Any:
+    """Draws whole levels until one is valid, as MiniGrid's rejection sampling does.
+
+    Args:
+      key: a PRNG key.
+      draw: turns a key into a level (any pytree) and a bool, whether it is valid.
+    """
+
+    def attempt(key: jax.Array) -> tuple[jax.Array, Any, jax.Array]:
+        next_key, draw_key = jax.random.split(key)
+        return next_key, *draw(draw_key)
+
+    _, level, _ = jax.lax.while_loop(
+        lambda carry: ~carry[2], lambda carry: attempt(carry[0]), attempt(key)
+    )
+    return level
+
+
+def grid_state(
+    plane: jax.Array,
+    position: jax.Array,
+    direction: jax.Array,
+    tracked: jax.Array | None = None,
+) -> GridState:
+    """Returns the first state of a level, the agent's hands empty.
+
+    Args:
+      plane: uint8[width, height] of packed tiles.
+      position: int32[2].
+      direction: int32 scalar.
+      tracked: bool[width, height], where the objects are that description 0 tracks; none when left
+        out.
+    """
+    marks = jnp.zeros(plane.shape, jnp.uint16) if tracked is None else tracked.astype(jnp.uint16)
+    return GridState(
+        tiles=jnp.pad(plane, PADDING, constant_values=tiles.WALL_TILE).reshape(-1),
+        marks=jnp.pad(marks, PADDING).reshape(-1),
+        position=position,
+        direction=direction,
+        carrying=jnp.uint8(0),
+        carrying_mark=jnp.uint16(0),
+    )
+
+
+def goal_episode(state: GridState, mission: np.ndarray, max_steps: int) -> Episode:
+    """Returns the episode of a `GoalTask` that begins in `state`."""
+    horizon = jnp.int32(max_steps)
+    return Episode(state, GoalState(jnp.int32(0), horizon, jnp.asarray(mission)), horizon)
