@@ -93,9 +93,7 @@ class Tuple(Space):
         return tuple(space.sample(k) for space, k in zip(self.spaces, keys, strict=True))
 
     def contains(self, value: Any) -> jax.Array:  # noqa: D102
-        return jnp.all(
-            jnp.stack([s.contains(v) for s, v in zip(self.spaces, value, strict=True)])
-        )
+        return jnp.all(jnp.stack([s.contains(v) for s, v in zip(self.spaces, value, strict=True)]))
 
     @property
     def structure(self) -> tuple[Any, ...]:  # noqa: D102

@@ -1,0 +1,192 @@
+"""Evaluation on held-out episodes: each is played once, from its first state to its end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxact.policy import Policy, PolicyMemory
+from jaxact.pomdp import POMDP, PyTree, State
+from jaxact.rollout import select
+from jaxact.statistics import confidence_interval, mean_interval
+from jaxact.train_state import make_key
+
+# Episodes played side by side; more are played in turns.
+MAX_LANES = 1000
+# Folded into the seed, so that no episode drawn here is one that was trained on.
+HELD_OUT = 0x6A78_6576
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """How each of N episodes went; arrays are [N].
+
+    Attributes:
+      success: bool.
+      episode_return: float32, sum of rewards.
+      length: int32, steps.
+      metrics: named float32 task metrics at the episode's end, and components of the return.
+    """
+
+    success: np.ndarray
+    episode_return: np.ndarray
+    length: np.ndarray
+    metrics: dict[str, np.ndarray]
+
+    def summary(self) -> dict[str, Any]:
+        """Returns means with 95 % confidence intervals, as plain numbers.
+
+        The success rate's interval is Wilson's, the others' Student's.
+        """
+        values = {"return": self.episode_return, "length": self.length, **self.metrics}
+        successes, episodes = int(self.success.sum()), len(self.success)
+        return {
+            "episodes": episodes,
+            "success": {
+                "mean": successes / episodes,
+                "interval": list(confidence_interval(successes, episodes)),
+            },
+            **{
+                name: {"mean": float(np.mean(x)), "interval": list(mean_interval(x))}
+                for name, x in values.items()
+            },
+        }
+
+
+def evaluate_policy(
+    pomdp: POMDP, policy: Policy, episodes: int = 1000, *, seed: int = 0, greedy: bool = False
+) -> Evaluation:
+    """Plays a policy on `episodes` held-out episodes.
+
+    The same seed gives the same episodes to every policy.
+    """
+    player = _policy_player(pomdp, policy.model, greedy)
+    return _evaluate(player, policy.params, episodes, seed)
+
+
+def evaluate_expert(pomdp: POMDP, episodes: int = 1000, *, seed: int = 0) -> Evaluation:
+    """Plays the task's expert; where it abstains, a uniformly random action is taken.
+
+    Raises:
+      JaxactError: the task has no expert.
+    """
+    return _evaluate(_expert_player(pomdp), (), episodes, seed)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _Play:
+    """Episodes being played, [B]."""
+
+    state: State
+    observation: dict[str, jax.Array]
+    memory: PyTree
+    done: jax.Array
+    success: jax.Array
+    episode_return: jax.Array
+    length: jax.Array
+    metrics: dict[str, jax.Array]
+
+
+Actor = Callable[[PyTree, jax.Array, _Play], tuple[PyTree, PyTree]]
+Player = Callable[[PyTree, jax.Array], _Play]
+
+
+@lru_cache(maxsize=16)
+def _policy_player(pomdp: POMDP, model: Any, greedy: bool) -> Player:
+    def act(params: PyTree, keys: jax.Array, play: _Play) -> tuple[PyTree, PyTree]:
+        policy = Policy(model, params, pomdp.action_space)
+        output, memory = policy.output(play.observation, play.memory)
+        if greedy:
+            action = output.distribution.mode()
+        else:
+            action = jax.vmap(lambda d, key: d.sample(key))(output.distribution, keys)
+        return action, PolicyMemory(memory, action, jnp.zeros_like(play.done))
+
+    def initial(lanes: int) -> PyTree:
+        return Policy(model, (), pomdp.action_space).initial_memory(lanes)
+
+    return _player(pomdp, act, initial)
+
+
+@lru_cache(maxsize=16)
+def _expert_player(pomdp: POMDP) -> Player:
+    def act(params: PyTree, keys: jax.Array, play: _Play) -> tuple[PyTree, PyTree]:
+        del params
+        expert_keys, random_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
+        expert = jax.vmap(pomdp.expert)(expert_keys, play.state)
+        random = jax.vmap(pomdp.action_space.sample)(random_keys)
+        return select(expert.valid, expert.action, random), play.memory
+
+    return _player(pomdp, act, lambda lanes: ())
+
+
+def _player(pomdp: POMDP, act: Actor, initial: Callable[[int], PyTree]) -> Player:
+    """Compiles (parameters, episode keys [B]) -> finished episodes."""
+
+    def play_episodes(params: PyTree, keys: jax.Array) -> _Play:
+        lanes = keys.shape[0]
+        reset_keys, step_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
+        state, observation = jax.vmap(pomdp.reset)(reset_keys)
+        action = jax.vmap(pomdp.action_space.sample)(step_keys)
+        _, shape = jax.eval_shape(jax.vmap(pomdp.step), step_keys, state, action)
+        zeros = jnp.zeros(lanes, jnp.float32)
+        names = [f"task/{n}" for n in shape.metrics] + [f"reward/{n}" for n in shape.reward_terms]
+        first = _Play(
+            state=state,
+            observation=observation,
+            memory=initial(lanes),
+            done=jnp.zeros(lanes, bool),
+            success=jnp.zeros(lanes, bool),
+            episode_return=zeros,
+            length=jnp.zeros(lanes, jnp.int32),
+            metrics={name: zeros for name in names},
+        )
+
+        def advance(play: _Play) -> _Play:
+            split = jax.vmap(lambda key, t: jax.random.split(jax.random.fold_in(key, t)))
+            act_keys, world_keys = jnp.moveaxis(split(step_keys, play.state.steps), 1, 0)
+            action, memory = act(params, act_keys, play)
+            state, step = jax.vmap(pomdp.step)(world_keys, play.state, action)
+            metrics = {f"task/{n}": x for n, x in step.metrics.items()}
+            for name, reward in step.reward_terms.items():
+                metrics[f"reward/{name}"] = play.metrics[f"reward/{name}"] + reward
+            after = _Play(
+                state=state,
+                observation=step.observation,
+                memory=memory,
+                done=step.finished,
+                success=step.success,
+                episode_return=play.episode_return + step.reward,
+                length=state.steps,
+                metrics=metrics,
+            )
+            return select(play.done, play, after)
+
+        return jax.lax.while_loop(lambda play: ~jnp.all(play.done), advance, first)
+
+    return jax.jit(play_episodes)
+
+
+def _evaluate(player: Player, params: PyTree, episodes: int, seed: int) -> Evaluation:
+    keys = jax.random.split(jax.random.fold_in(make_key(seed), HELD_OUT), episodes)
+    # Batches of one size, so that one program serves all; what the last one lacks is played again
+    # and left out.
+    turns = -(-episodes // MAX_LANES)
+    lanes = -(-episodes // turns)
+    parts = []
+    for turn in range(turns):
+        chosen = np.arange(turn * lanes, (turn + 1) * lanes) % episodes
+        parts.append(player(params, keys[chosen]))
+
+    results = [(p.success, p.episode_return, p.length, p.metrics) for p in parts]
+    joined = jax.tree.map(
+        lambda *xs: np.concatenate([np.asarray(x) for x in xs])[:episodes], *results
+    )
+    return Evaluation(*joined)

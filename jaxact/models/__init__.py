@@ -1,0 +1,33 @@
+"""Models: linen modules from observations and memory to policy and value."""
+
+from jaxact.models.actor_critic import ActorCritic as ActorCritic
+from jaxact.models.encoders import BagOfWords as BagOfWords
+from jaxact.models.encoders import Concatenated as Concatenated
+from jaxact.models.encoders import FiLM as FiLM
+from jaxact.models.encoders import GridCodes as GridCodes
+from jaxact.models.encoders import Image as Image
+from jaxact.models.encoders import InstructedGrid as InstructedGrid
+from jaxact.models.encoders import Vector as Vector
+from jaxact.models.encoders import WordsGRU as WordsGRU
+from jaxact.models.heads import ActorHead as ActorHead
+from jaxact.models.memory import GRU as GRU
+from jaxact.models.memory import LSTM as LSTM
+from jaxact.models.memory import NoMemory as NoMemory
+from jaxact.models.output import ActorCriticOutput as ActorCriticOutput
+
+__all__ = [
+    "GRU",
+    "LSTM",
+    "ActorCritic",
+    "ActorCriticOutput",
+    "ActorHead",
+    "BagOfWords",
+    "Concatenated",
+    "FiLM",
+    "GridCodes",
+    "Image",
+    "InstructedGrid",
+    "NoMemory",
+    "Vector",
+    "WordsGRU",
+]

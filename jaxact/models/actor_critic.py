@@ -1,0 +1,93 @@
+"""The default actor-critic: encoder, memory, actor and critic heads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+
+from jaxact.models.heads import ActorHead
+from jaxact.models.memory import GRU
+from jaxact.models.output import ActorCriticOutput
+from jaxact.spaces import Box, Dict, Discrete, Space, Tuple
+
+
+class ActorCritic(nn.Module):
+    """A recurrent actor-critic.
+
+    Any linen module with the same two methods can take its place: `__call__` as here, and
+    `initial_memory(lanes)`, which returns the memory of lanes that have seen nothing.
+
+    Attributes:
+      action_space: what the policy chooses from.
+      encoder: module from named observations [..., …] to features [..., F].
+      memory: `GRU`, `LSTM`, `NoMemory`, or a module with the same methods.
+      previous_action: whether the previous action is fed back as an input.
+    """
+
+    action_space: Space
+    encoder: nn.Module
+    memory: nn.Module = GRU(128)
+    previous_action: bool = False
+
+    @nn.compact
+    def __call__(
+        self,
+        observation: Mapping[str, jax.Array],
+        memory: Any,
+        previous_action: Any,
+        is_first: jax.Array,
+    ) -> tuple[ActorCriticOutput, Any]:
+        """Runs one step or a whole sequence.
+
+        Args:
+          observation: named arrays [B, ...], or time-major [T, B, ...].
+          memory: as `initial_memory` returns it, [B, ...], before the first step.
+          previous_action: the action before each observation, [B, ...] or [T, B, ...].
+          is_first: bool [B] or [T, B], true where an episode begins.
+
+        Returns:
+          Policy and value, [B] or [T, B], and the memory after the last step.
+        """
+        features = self.encoder(observation)
+        if self.previous_action:
+            flat = flatten_action(self.action_space, previous_action)
+            flat = jnp.where(is_first[..., None], 0.0, flat)
+            features = jnp.concatenate([features, flat], axis=-1)
+        features, memory = self.memory(features, memory, is_first)
+        distribution = ActorHead(self.action_space, name="actor")(features)
+        value = nn.Dense(1, kernel_init=nn.initializers.orthogonal(1.0), name="critic")(features)
+        return ActorCriticOutput(distribution, value[..., 0]), memory
+
+    @nn.nowrap
+    def initial_memory(self, lanes: int) -> Any:
+        """Returns the memory of `lanes` lanes that have seen nothing."""
+        return self.memory.initial(lanes)
+
+
+def flatten_action(space: Space, action: Any) -> jax.Array:
+    """Lays actions out as vectors: discrete ones one-hot, boxes flat, parts side by side.
+
+    Args:
+      space: the action space.
+      action: values of it with any leading axes.
+
+    Returns:
+      float32 [..., D].
+    """
+    match space:
+        case Discrete(n):
+            return jax.nn.one_hot(action, n, dtype=jnp.float32)
+        case Box(shape=shape):
+            lead = action.shape[: action.ndim - len(shape)]
+            return action.astype(jnp.float32).reshape((*lead, -1))
+        case Tuple(spaces):
+            parts = [flatten_action(s, a) for s, a in zip(spaces, action, strict=True)]
+        case Dict(spaces):
+            parts = [flatten_action(s, action[name]) for name, s in spaces.items()]
+        case _:
+            raise TypeError(f"actions of {space} cannot be laid out as vectors")
+    return jnp.concatenate(parts, axis=-1)

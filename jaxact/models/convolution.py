@@ -1,0 +1,86 @@
+"""A convolution whose gradient stays fast inside a scan.
+
+XLA:CPU leaves its fast path for kernel gradients of convolutions within loops (jax issue 12868),
+where all of training happens; here the kernel gradient is a sum of matrix products instead.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+
+_LAYOUT = ("NHWC", "HWIO", "NHWC")
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(2,))
+def convolve(x: jax.Array, kernel: jax.Array, stride: int) -> jax.Array:
+    """Valid convolution of x [N, H, W, I] with kernel [k, k, I, O] -> [N, h, w, O]."""
+    return jax.lax.conv_general_dilated(
+        x, kernel, (stride, stride), "VALID", dimension_numbers=_LAYOUT
+    )
+
+
+def _forward(
+    x: jax.Array, kernel: jax.Array, stride: int
+) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+    return convolve(x, kernel, stride), (x, kernel)
+
+
+def _backward(
+    stride: int, saved: tuple[jax.Array, jax.Array], g: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    x, kernel = saved
+    rows, columns = kernel.shape[:2]
+    h, w = g.shape[1:3]
+
+    def window(i: int, j: int) -> jax.Array:
+        stops = (x.shape[0], i + stride * (h - 1) + 1, j + stride * (w - 1) + 1, x.shape[3])
+        return jax.lax.slice(x, (0, i, j, 0), stops, (1, stride, stride, 1))
+
+    g_kernel = jnp.stack(
+        [
+            jnp.stack([jnp.einsum("bhwi,bhwo->io", window(i, j), g) for j in range(columns)])
+            for i in range(rows)
+        ]
+    )
+    _, transpose = jax.vjp(
+        lambda x: jax.lax.conv_general_dilated(
+            x, kernel, (stride, stride), "VALID", dimension_numbers=_LAYOUT
+        ),
+        x,
+    )
+    return transpose(g)[0], g_kernel
+
+
+convolve.defvjp(_forward, _backward)
+
+
+class Convolution(nn.Module):
+    """Valid convolution with bias, NHWC.
+
+    Attributes:
+      features: output channels.
+      size: side of the square kernel.
+      stride: step of the window.
+    """
+
+    features: int
+    size: int
+    stride: int = 1
+
+    @nn.compact
+    def __call__(self, x: jax.Array) -> jax.Array:
+        """Maps float32 [..., H, W, C] to [..., h, w, features]."""
+        kernel = self.param(
+            "kernel",
+            nn.initializers.he_normal(),
+            (self.size, self.size, x.shape[-1], self.features),
+            jnp.float32,
+        )
+        bias = self.param("bias", nn.initializers.zeros, (self.features,), jnp.float32)
+        flat = x.reshape((-1, *x.shape[-3:]))
+        y = convolve(flat, kernel, self.stride) + bias
+        return y.reshape(x.shape[:-3] + y.shape[1:])

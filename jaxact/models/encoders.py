@@ -1,0 +1,200 @@
+"""Encoders: from sensor readings to feature vectors, over any leading axes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+
+from jaxact.models.convolution import Convolution
+
+# Kaiming-style gain for layers that a rectifier follows.
+RELU = nn.initializers.orthogonal(2.0**0.5)
+
+
+class GridCodes(nn.Module):
+    """Embeds each cell of a grid observation: the sum of an embedding for each of its codes.
+
+    Embeddings are products with one-hot codes: their gradient is a matrix product, no scatter.
+
+    Attributes:
+      features: size of a cell's embedding.
+      sizes: number of values of each code; MiniGrid's type, colour and state by default.
+    """
+
+    features: int
+    sizes: Sequence[int] = (11, 6, 3)
+
+    @nn.compact
+    def __call__(self, codes: jax.Array) -> jax.Array:
+        """Maps integer codes [..., W, H, len(sizes)] to float32 [..., W, H, features]."""
+        one_hot = jnp.concatenate(
+            [
+                jax.nn.one_hot(codes[..., i], size, dtype=jnp.float32)
+                for i, size in enumerate(self.sizes)
+            ],
+            axis=-1,
+        )
+        return nn.Dense(self.features)(one_hot)
+
+
+class BagOfWords(nn.Module):
+    """Embeds a sequence of tokens by the words it holds, whatever their order; 0 is padding.
+
+    Enough for instructions such as "go to the red ball"; where word order matters, use `WordsGRU`.
+
+    Attributes:
+      features: size of the embedding.
+      vocabulary: number of tokens, padding included.
+    """
+
+    features: int
+    vocabulary: int = 64
+
+    @nn.compact
+    def __call__(self, tokens: jax.Array) -> jax.Array:
+        """Maps integer tokens [..., length] to float32 [..., features]."""
+        counts = jnp.sum(jax.nn.one_hot(tokens - 1, self.vocabulary, dtype=jnp.float32), axis=-2)
+        return nn.Dense(self.features)(counts)
+
+
+class WordsGRU(nn.Module):
+    """Reads a sequence of tokens in order with a gated recurrent unit; 0 is padding.
+
+    Attributes:
+      features: size of the embedding.
+      vocabulary: number of tokens, padding included.
+    """
+
+    features: int
+    vocabulary: int = 64
+
+    @nn.compact
+    def __call__(self, tokens: jax.Array) -> jax.Array:
+        """Maps integer tokens [..., length] to float32 [..., features]."""
+        flat = tokens.reshape((-1, tokens.shape[-1]))
+        words = nn.Dense(self.features)(jax.nn.one_hot(flat, self.vocabulary, dtype=jnp.float32))
+        cell = nn.GRUCell(self.features, parent=None)
+        parameters = self.param(
+            "cell", lambda key: cell.init(key, jnp.zeros((1, self.features)), words[:1, 0])
+        )
+
+        def step(h: jax.Array, x: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
+            word, token = x
+            new, _ = cell.apply(parameters, h, word)
+            return jnp.where(token[:, None] == 0, h, new), None
+
+        start = jnp.zeros((flat.shape[0], self.features), jnp.float32)
+        h, _ = jax.lax.scan(step, start, (jnp.swapaxes(words, 0, 1), flat.T))
+        return h.reshape((*tokens.shape[:-1], self.features))
+
+
+class FiLM(nn.Module):
+    """Feature-wise linear modulation (Perez et al. 2018): x (1 + γ(c)) + β(c)."""
+
+    @nn.compact
+    def __call__(self, x: jax.Array, condition: jax.Array) -> jax.Array:
+        """Modulates x [..., W, H, F] or [..., F] by a condition [..., C]."""
+        scale, shift = jnp.split(nn.Dense(2 * x.shape[-1])(condition), 2, axis=-1)
+        extra = (1,) * (x.ndim - condition.ndim)
+        scale = scale.reshape(scale.shape[:-1] + extra + scale.shape[-1:])
+        shift = shift.reshape(shift.shape[:-1] + extra + shift.shape[-1:])
+        return x * (1.0 + scale) + shift
+
+
+class InstructedGrid(nn.Module):
+    """A grid view read in the light of an instruction.
+
+    Cells are embedded, modulated by the instruction (so that a cell can tell that it holds what is
+    asked for), mixed, and laid out as one vector that keeps where each cell was.
+
+    Attributes:
+      features: size of the result.
+      cell_features: size of a cell's embedding.
+      words: the instruction's encoder, `BagOfWords` or `WordsGRU`.
+      image: name of the grid observation.
+      mission: name of the instruction's tokens.
+    """
+
+    features: int = 128
+    cell_features: int = 32
+    mixed_features: int = 16
+    words: nn.Module = BagOfWords(32)
+    image: str = "image"
+    mission: str = "mission"
+
+    @nn.compact
+    def __call__(self, observation: Mapping[str, jax.Array]) -> jax.Array:
+        """Returns float32 [..., features]."""
+        instruction = self.words(observation[self.mission])
+        cells = GridCodes(self.cell_features)(observation[self.image])
+        cells = nn.relu(FiLM()(cells, instruction))
+        cells = nn.relu(nn.Dense(self.mixed_features, kernel_init=RELU)(cells))
+        flat = cells.reshape((*cells.shape[:-3], -1))
+        flat = jnp.concatenate([flat, instruction], axis=-1)
+        return nn.relu(nn.Dense(self.features, kernel_init=RELU)(flat))
+
+
+class Image(nn.Module):
+    """Three convolutions and a dense layer (Mnih et al. 2015) for uint8 or float images.
+
+    Attributes:
+      features: size of the result.
+      channels: output channels of each convolution.
+      sizes: kernel sides.
+      strides: kernel strides.
+    """
+
+    features: int = 512
+    channels: Sequence[int] = (32, 64, 64)
+    sizes: Sequence[int] = (8, 4, 3)
+    strides: Sequence[int] = (4, 2, 1)
+
+    @nn.compact
+    def __call__(self, image: jax.Array) -> jax.Array:
+        """Maps [..., H, W, C] to float32 [..., features]; uint8 is scaled to [0, 1]."""
+        x = image.astype(jnp.float32)
+        if image.dtype == jnp.uint8:
+            x = x / 255.0
+        for channels, size, stride in zip(self.channels, self.sizes, self.strides, strict=True):
+            x = nn.relu(Convolution(channels, size, stride)(x))
+        x = x.reshape((*x.shape[:-3], -1))
+        return nn.relu(nn.Dense(self.features, kernel_init=RELU)(x))
+
+
+class Vector(nn.Module):
+    """Dense layers for vectors and scalars.
+
+    Attributes:
+      features: size of each layer.
+    """
+
+    features: Sequence[int] = (64, 64)
+
+    @nn.compact
+    def __call__(self, vector: jax.Array) -> jax.Array:
+        """Maps [..., D] to float32 [..., features[-1]]."""
+        x = vector.astype(jnp.float32)
+        for size in self.features:
+            x = nn.tanh(nn.Dense(size, kernel_init=RELU)(x))
+        return x
+
+
+class Concatenated(nn.Module):
+    """Several sensors, each through its own encoder, side by side.
+
+    Attributes:
+      encoders: an encoder for each named sensor that is to be read.
+    """
+
+    encoders: Mapping[str, nn.Module]
+
+    @nn.compact
+    def __call__(self, observation: Mapping[str, jax.Array]) -> jax.Array:
+        """Returns float32 [..., sum of the encoders' features]."""
+        return jnp.concatenate(
+            [encoder(observation[name]) for name, encoder in sorted(self.encoders.items())],
+            axis=-1,
+        )

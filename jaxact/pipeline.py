@@ -1,0 +1,143 @@
+"""What to learn and in what order: stages of weighted losses, and the numbers they train with."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import optax
+from flax.core import FrozenDict
+
+from jaxact.errors import JaxactError, unknown
+from jaxact.losses.base import Loss
+from jaxact.schedules import Schedule
+
+
+@dataclass(frozen=True)
+class EarlyStopping:
+    """Ends a stage once a metric of finished episodes is high enough.
+
+    The metric is averaged over consecutive blocks of at least `episodes` finished episodes; the
+    stage ends with the first block whose mean reaches `at_least`.
+
+    Attributes:
+      at_least: the threshold.
+      metric: "success", "return" or "length".
+      episodes: how many episodes a block needs.
+    """
+
+    at_least: float
+    metric: str = "success"
+    episodes: int = 1000
+
+    def __post_init__(self) -> None:
+        if self.metric not in ("success", "return", "length"):
+            raise unknown("early-stopping metric", self.metric, ("success", "return", "length"))
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A part of training: some losses, for some steps.
+
+    Attributes:
+      losses: named losses, all on one forward pass of the model.
+      steps: length in environment steps, over all lanes; the last update may overshoot it.
+      weights: weight of each named loss (default 1); numbers or schedules of the stage's steps.
+      teacher_forcing: probability that a valid expert action is taken in place of the policy's; a
+        number or a schedule of the stage's steps; None never asks the expert for it.
+      stop: ends the stage early.
+      overrides: values for this stage of the pipeline's fields, by name.
+    """
+
+    losses: Mapping[str, Loss]
+    steps: int
+    weights: Mapping[str, float | Schedule] = field(default_factory=dict)
+    teacher_forcing: float | Schedule | None = None
+    stop: EarlyStopping | None = None
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.losses:
+            raise JaxactError("a stage needs at least one loss, for example {'ppo': PPO()}")
+        for name in self.weights:
+            if name not in self.losses:
+                raise unknown("loss in a stage's weights", name, self.losses)
+        for name in ("losses", "weights", "overrides"):
+            object.__setattr__(self, name, FrozenDict(getattr(self, name)))
+
+    @property
+    def needs_expert(self) -> bool:
+        """Whether the expert must be asked at every step."""
+        return self.teacher_forcing is not None or any(
+            loss.needs_expert for loss in self.losses.values()
+        )
+
+
+@dataclass(frozen=True)
+class TrainingPipeline:
+    """Stages, and how each is trained.
+
+    The batch of an update is `lanes` × `rollout_length` steps, whatever the number of devices. It
+    is split along lanes, whole sequences together, into `minibatches`, and gone through `epochs`
+    times. A stage may override any field but `stages`, `lanes` and `optimizer`.
+
+    Attributes:
+      stages: trained one after the other, with the same parameters and optimizer state.
+      lanes: worlds stepped side by side.
+      rollout_length: steps of each lane between updates.
+      epochs: passes over each batch.
+      minibatches: gradient steps in each pass.
+      discount: γ.
+      gae_lambda: λ of generalized advantage estimation.
+      learning_rate: a number or a schedule of the total steps (of the stage's, in an override).
+      max_grad_norm: gradients are scaled down to this global norm.
+      optimizer: called as optimizer(learning_rate, **optimizer_options), an optax one.
+      optimizer_options: numbers for it.
+    """
+
+    stages: tuple[Stage, ...]
+    lanes: int = 256
+    rollout_length: int = 32
+    epochs: int = 4
+    minibatches: int = 4
+    discount: float = 0.99
+    gae_lambda: float = 0.95
+    learning_rate: float | Schedule = 3e-4
+    max_grad_norm: float = 0.5
+    optimizer: Callable[..., optax.GradientTransformation] = optax.adam
+    optimizer_options: Mapping[str, float] = field(default_factory=lambda: {"eps": 1e-5})
+
+    def __post_init__(self) -> None:
+        if not self.stages:
+            raise JaxactError("a pipeline needs at least one stage")
+        object.__setattr__(self, "optimizer_options", FrozenDict(self.optimizer_options))
+
+    def at(self, stage: Stage) -> TrainingPipeline:
+        """Returns the pipeline with the stage's overrides applied.
+
+        Raises:
+          JaxactError: an override names no field, or one that stages share.
+        """
+        shared = {"stages", "lanes", "optimizer"}
+        fields = {f.name for f in dataclasses.fields(self)} - shared
+        for name in stage.overrides:
+            if name in shared:
+                raise JaxactError(f"all stages share {name!r}, so no stage can override it")
+            if name not in fields:
+                raise unknown("pipeline field in a stage's overrides", name, fields)
+        return dataclasses.replace(self, **stage.overrides)
+
+    def steps_per_update(self, stage: Stage) -> int:
+        """Environment steps of one update of `stage`, over all lanes."""
+        return self.lanes * self.at(stage).rollout_length
+
+    def updates(self, stage: Stage) -> int:
+        """Number of updates that `stage` takes."""
+        return -(-stage.steps // self.steps_per_update(stage))
+
+    @property
+    def total_steps(self) -> int:
+        """Environment steps of all stages together, when none stops early."""
+        return sum(self.updates(stage) * self.steps_per_update(stage) for stage in self.stages)

@@ -1,0 +1,194 @@
+"""From updates to compiled programs: the scan that both drivers of training share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from jaxact import train_state
+from jaxact.errors import JaxactError
+from jaxact.experiment import Experiment
+from jaxact.overrides import numbers as numbers_of
+from jaxact.overrides import with_numbers
+from jaxact.train_state import TrainState
+from jaxact.update import Metrics, update
+
+Numbers = Mapping[str, Any]
+AXIS = "lanes"
+
+# Which parts of a train state are sharded over devices: the lanes, and nothing else.
+_SPECS = TrainState(
+    params=PartitionSpec(),
+    optimizer=PartitionSpec(),
+    lanes=PartitionSpec(AXIS),  # type: ignore[arg-type]
+    sampler=PartitionSpec(),
+    updates=PartitionSpec(),  # type: ignore[arg-type]
+    stopped=PartitionSpec(),  # type: ignore[arg-type]
+    block=PartitionSpec(),  # type: ignore[arg-type]
+)
+
+
+def run_updates(
+    experiment: Experiment,
+    stage_index: int,
+    state: TrainState,
+    length: int,
+    limit: jax.Array | int,
+    axis_name: str | None = None,
+) -> tuple[TrainState, Metrics]:
+    """Scans up to `length` updates of a stage; those past `limit` or past its end are skipped.
+
+    Returns:
+      The state after them, and metrics [length] with "active" telling which updates were done.
+    """
+    total = experiment.pipeline.updates(experiment.pipeline.stages[stage_index])
+
+    def do(state: TrainState) -> tuple[TrainState, Metrics]:
+        return update(experiment, stage_index, state, axis_name)
+
+    shapes = jax.eval_shape(do, state)[1]
+
+    def skip(state: TrainState) -> tuple[TrainState, Metrics]:
+        return state, jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+
+    def step(state: TrainState, i: jax.Array) -> tuple[TrainState, Metrics]:
+        done = state.stopped[stage_index] | (state.updates[stage_index] >= total)
+        active = (i < limit) & ~done
+        state, metrics = jax.lax.cond(active, do, skip, state)
+        return state, {**metrics, "active": active}
+
+    return jax.lax.scan(step, state, jnp.arange(length, dtype=jnp.int32))
+
+
+def make_train(
+    experiment: Experiment,
+) -> Callable[[jax.Array, Numbers | None], tuple[TrainState, Metrics]]:
+    """Makes one pure function of the whole training run, all stages in one program.
+
+    Args:
+      experiment: what to train.
+
+    Returns:
+      train(key, numbers=None) -> (state, metrics [updates of all stages]), to be jitted, and
+      vmapped over keys and over any of the experiment's numbers: `numbers` maps dotted paths such
+      as "pipeline.learning_rate" (see `jaxact.overrides.numbers`) to scalars. A vmapped sweep
+      compiles once.
+
+    Raises:
+      JaxactError: the experiment cannot work (see `Experiment.check`), or no such number.
+    """
+    experiment.check()
+
+    def train(key: jax.Array, numbers: Numbers | None = None) -> tuple[TrainState, Metrics]:
+        configured = with_numbers(experiment, dict(numbers or {}))
+        state = train_state.start(configured, key)
+        rows = []
+        for index, stage in enumerate(experiment.pipeline.stages):
+            updates = experiment.pipeline.updates(stage)
+            state, metrics = run_updates(configured, index, state, updates, updates)
+            rows.append({**metrics, "stage": jnp.full(updates, index, jnp.int32)})
+        return state, concatenate(rows, jnp)
+
+    return train
+
+
+def concatenate(rows: list[Metrics], backend: Any = np) -> Metrics:
+    """Joins metrics of several scans end to end; a metric that some lack is NaN there.
+
+    Args:
+      rows: metrics [n] each.
+      backend: `numpy` or `jax.numpy`.
+    """
+    if not rows:
+        return {}
+    names = sorted(set().union(*rows))
+
+    def column(row: Metrics, name: str) -> Any:
+        length = row["active"].shape[0]
+        return row.get(name, backend.full(length, backend.nan, backend.float32))
+
+    return {name: backend.concatenate([column(row, name) for row in rows]) for name in names}
+
+
+@dataclass(frozen=True)
+class Program:
+    """The compiled programs of a run on some devices, for a host loop that trains in chunks.
+
+    Attributes:
+      experiment: what is trained.
+      devices: lanes are sharded over these.
+    """
+
+    experiment: Experiment
+    devices: tuple[Any, ...]
+
+    def __post_init__(self) -> None:
+        self.experiment.check(len(self.devices))
+
+    @property
+    def mesh(self) -> Mesh:
+        """The one-axis mesh of devices."""
+        return Mesh(np.asarray(self.devices), (AXIS,))
+
+    def numbers(self) -> dict[str, jax.Array]:
+        """The experiment's numbers, as data for the compiled programs."""
+        return {n: jnp.float32(x) for n, x in numbers_of(self.experiment).items()}
+
+    def start(self, key: jax.Array) -> TrainState:
+        """Returns the state before the first update, placed on the devices."""
+        numbers = self.numbers()
+
+        def begin(key: jax.Array, numbers: Numbers) -> TrainState:
+            return train_state.start(with_numbers(self.experiment, dict(numbers)), key)
+
+        shardings = jax.tree.map(lambda spec: NamedSharding(self.mesh, spec), _SPECS)
+        return jax.jit(begin, out_shardings=shardings)(key, numbers)
+
+    def stage(self, index: int, length: int) -> Any:
+        """Returns a stage's jitted function (state, numbers, limit) -> (state, metrics [length]).
+
+        It does up to `limit` ≤ `length` updates, and consumes its state: the arrays given must not
+        be used again.
+        """
+        axis_name = AXIS if len(self.devices) > 1 else None
+
+        def run(state: TrainState, numbers: Numbers, limit: Any) -> tuple[TrainState, Metrics]:
+            configured = with_numbers(self.experiment, dict(numbers))
+            return run_updates(configured, index, state, length, limit, axis_name)
+
+        if axis_name is None:
+            return jax.jit(run, donate_argnums=0)
+
+        def sharded(state: TrainState, numbers: Numbers, limit: Any) -> tuple[TrainState, Metrics]:
+            return jax.shard_map(
+                run,
+                mesh=self.mesh,
+                in_specs=(_SPECS, PartitionSpec(), PartitionSpec()),
+                out_specs=(_SPECS, PartitionSpec()),
+                check_vma=False,
+            )(state, numbers, limit)
+
+        return jax.jit(sharded, donate_argnums=0)
+
+
+def choose_devices(count: int | None) -> tuple[Any, ...]:
+    """Returns the first `count` devices of the default backend, or all of them.
+
+    Raises:
+      JaxactError: there are fewer.
+    """
+    devices = jax.devices()
+    if count is None:
+        return tuple(devices)
+    if not 1 <= count <= len(devices):
+        raise JaxactError(
+            f"{count} devices were asked for, but jax sees {len(devices)} "
+            f"({devices[0].platform}); simulate more on a CPU with JAX_NUM_CPU_DEVICES={count}"
+        )
+    return tuple(devices[:count])

@@ -1,0 +1,314 @@
+"""Acting: lanes of worlds, a queue of fresh episodes for each, and the scan that steps them.
+
+A lane is one world. Each lane holds a short queue of episodes sampled ahead; a lane that finishes
+takes its next one, and when any queue is empty one scalar branch refills them all. So no step pays
+for a level that is thrown away, no episode is served twice, and episode k of lane b is a pure
+function of the seed, b and k, whatever the number of devices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxact.models.output import ActorCriticOutput
+from jaxact.pomdp import POMDP, Episode, ExpertAction, FinishedEpisodes, PyTree, State, Step
+
+QUEUE_LENGTH = 4
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class EpisodeQueue:
+    """Episodes sampled ahead, leading axes [B] or [B, Q].
+
+    Attributes:
+      key: PRNG key [B] of each lane's stream of episodes.
+      first: int32 [B], index within that stream of the queue's first episode.
+      taken: int32 [B], how many of the queue are used up.
+      episodes: [B, Q].
+      observations: first observation of each, [B, Q, ...].
+    """
+
+    key: jax.Array
+    first: jax.Array
+    taken: jax.Array
+    episodes: Episode
+    observations: dict[str, jax.Array]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Lanes:
+    """Worlds in progress, leading axis [B] everywhere.
+
+    Attributes:
+      key: PRNG key of each lane.
+      state: where each episode stands.
+      observation: what is seen there.
+      queue: episodes to come.
+      memory: the policy's memory.
+      previous_action: the last action (zeros before the first).
+      is_first: bool, true at the first step of an episode.
+      episode_return: float32, sum of rewards so far.
+      episode_terms: the same for each of the reward's named components.
+    """
+
+    key: jax.Array
+    state: State
+    observation: dict[str, jax.Array]
+    queue: EpisodeQueue
+    memory: PyTree
+    previous_action: PyTree
+    is_first: jax.Array
+    episode_return: jax.Array
+    episode_terms: dict[str, jax.Array]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Trajectory:
+    """What happened in a rollout, time-major [T, B, ...].
+
+    Attributes:
+      observation, previous_action, is_first: what the policy was given.
+      action: what was done; log_prob: its log-probability; value: the value estimated.
+      step: reward, flags and the observation reached (an episode's final one at its end).
+      memory: the policy's memory after the step.
+      expert: the expert's advice, None unless asked for.
+      forced: bool, true where the expert's action was taken in place of the policy's.
+      finished: how episodes ended, with `finished.task` None unless asked for.
+      episode_terms: named components of the return of the episodes that ended.
+    """
+
+    observation: dict[str, jax.Array]
+    previous_action: PyTree
+    is_first: jax.Array
+    action: PyTree
+    log_prob: jax.Array
+    value: jax.Array
+    step: Step
+    memory: PyTree
+    expert: ExpertAction | None
+    forced: jax.Array
+    finished: FinishedEpisodes
+    episode_terms: dict[str, jax.Array]
+
+
+def fill_queue(
+    pomdp: POMDP, sampler_state: PyTree, key: jax.Array, first: jax.Array, length: int
+) -> EpisodeQueue:
+    """Samples `length` episodes for each lane, from index `first` [B] of the lane's stream on."""
+
+    def sample(key: jax.Array, index: jax.Array) -> tuple[Episode, dict[str, jax.Array]]:
+        episode = pomdp.sampler.sample(jax.random.fold_in(key, index), sampler_state)
+        return episode, pomdp.observe(pomdp.begin(episode))
+
+    indices = first[:, None] + jnp.arange(length, dtype=jnp.int32)
+    episodes, observations = jax.vmap(jax.vmap(sample, in_axes=(None, 0)))(key, indices)
+    return EpisodeQueue(key, first, jnp.zeros_like(first), episodes, observations)
+
+
+def turn_over(
+    pomdp: POMDP,
+    sampler_state: PyTree,
+    queue: EpisodeQueue,
+    finished: jax.Array,
+    state: State,
+    observation: dict[str, jax.Array],
+) -> tuple[EpisodeQueue, State, dict[str, jax.Array]]:
+    """Gives each finished lane its next episode.
+
+    Args:
+      pomdp: the world.
+      sampler_state: for refilling.
+      queue: episodes to come.
+      finished: bool [B].
+      state: states reached [B].
+      observation: observations of them [B, ...].
+
+    Returns:
+      The queue, states and observations to go on with.
+    """
+    length = jax.tree.leaves(queue.observations)[0].shape[1]
+
+    def runs_dry(queue: EpisodeQueue) -> jax.Array:
+        return jnp.any(finished & (queue.taken >= length))
+
+    def refill(queue: EpisodeQueue) -> EpisodeQueue:
+        return fill_queue(pomdp, sampler_state, queue.key, queue.first + queue.taken, length)
+
+    # A loop of at most one pass rather than a `cond`: under `vmap` (over seeds or draws) a cond
+    # would run both branches at every step, while this loop still runs only if some queue is dry.
+    queue = jax.lax.while_loop(runs_dry, refill, queue)
+    index = jnp.minimum(queue.taken, length - 1)
+    next_episode, next_observation = jax.vmap(lambda i, tree: jax.tree.map(lambda x: x[i], tree))(
+        index, (queue.episodes, queue.observations)
+    )
+    next_state = jax.vmap(pomdp.begin)(next_episode)
+    queue = replace(queue, taken=queue.taken + finished.astype(jnp.int32))
+    state, observation = select(finished, (next_state, next_observation), (state, observation))
+    return queue, state, observation
+
+
+def select(mask: jax.Array, on_true: PyTree, on_false: PyTree) -> PyTree:
+    """Chooses between two trees of [B, ...] by a mask [B]."""
+    return jax.tree.map(
+        lambda a, b: jnp.where(mask.reshape(mask.shape + (1,) * (a.ndim - mask.ndim)), a, b),
+        on_true,
+        on_false,
+    )
+
+
+def start_lanes(
+    pomdp: POMDP, sampler_state: PyTree, model: Any, keys: jax.Array, queue_length: int
+) -> Lanes:
+    """Begins the first episode of every lane.
+
+    Args:
+      pomdp: the world.
+      sampler_state: of its sampler.
+      model: has `initial_memory(lanes)`.
+      keys: a PRNG key for each lane, [B].
+      queue_length: episodes sampled ahead for each lane.
+    """
+    lanes = keys.shape[0]
+    stream_keys, lane_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
+    queue = fill_queue(pomdp, sampler_state, stream_keys, jnp.zeros(lanes, jnp.int32), queue_length)
+    state = jax.vmap(pomdp.begin)(jax.tree.map(lambda x: x[:, 0], queue.episodes))
+    action = jax.tree.map(
+        lambda x: jnp.zeros((lanes, *x.shape), x.dtype), pomdp.action_space.structure
+    )
+    _, step = jax.eval_shape(jax.vmap(pomdp.step), lane_keys, state, action)
+    return Lanes(
+        key=lane_keys,
+        state=state,
+        observation=jax.tree.map(lambda x: x[:, 0], queue.observations),
+        queue=replace(queue, taken=jnp.ones(lanes, jnp.int32)),
+        memory=model.initial_memory(lanes),
+        previous_action=action,
+        is_first=jnp.ones(lanes, bool),
+        episode_return=jnp.zeros(lanes, jnp.float32),
+        episode_terms={name: jnp.zeros(lanes, jnp.float32) for name in step.reward_terms},
+    )
+
+
+def rollout(
+    pomdp: POMDP,
+    policy: Callable[..., tuple[ActorCriticOutput, PyTree]],
+    sampler_state: PyTree,
+    lanes: Lanes,
+    length: int,
+    *,
+    query_expert: bool = False,
+    teacher_forcing: float | jax.Array = 0.0,
+    keep_tasks: bool = False,
+) -> tuple[Lanes, Trajectory]:
+    """Steps all lanes `length` times.
+
+    Args:
+      pomdp: the world.
+      policy: (observation, memory, previous_action, is_first) -> (output, memory), on [B, ...].
+      sampler_state: of the world's sampler.
+      lanes: where to begin.
+      length: T.
+      query_expert: whether the expert is asked at every step.
+      teacher_forcing: probability that a valid expert action replaces the policy's.
+      keep_tasks: whether `finished.task` is recorded.
+
+    Returns:
+      The lanes where they then stand, and what happened, [T, B, ...].
+    """
+    def act(lanes: Lanes, _: None) -> tuple[Lanes, Trajectory]:
+        keys = jnp.moveaxis(jax.vmap(lambda k: jax.random.split(k, 5))(lanes.key), 1, 0)
+        key, action_keys, world_keys, expert_keys, forcing_keys = keys
+        output, memory = policy(
+            lanes.observation, lanes.memory, lanes.previous_action, lanes.is_first
+        )
+        action = jax.vmap(lambda distribution, key: distribution.sample(key))(
+            output.distribution, action_keys
+        )
+        expert, forced = None, jnp.zeros_like(lanes.is_first)
+        if query_expert:
+            expert = jax.vmap(pomdp.expert)(expert_keys, lanes.state)
+            uniform = jax.vmap(lambda key: jax.random.uniform(key, (), jnp.float32))(forcing_keys)
+            forced = expert.valid & (uniform < teacher_forcing)
+            action = select(forced, expert.action, action)
+        state, step = jax.vmap(pomdp.step)(world_keys, lanes.state, action)
+
+        episode_return = lanes.episode_return + step.reward
+        episode_terms = {
+            name: total + step.reward_terms[name] for name, total in lanes.episode_terms.items()
+        }
+        transition = Trajectory(
+            observation=lanes.observation,
+            previous_action=lanes.previous_action,
+            is_first=lanes.is_first,
+            action=action,
+            log_prob=output.distribution.log_prob(action),
+            value=output.value,
+            step=step,
+            memory=memory,
+            expert=expert,
+            forced=forced,
+            finished=FinishedEpisodes(
+                mask=step.finished,
+                success=step.success,
+                episode_return=episode_return,
+                length=state.steps,
+                task=state.task if keep_tasks else None,
+            ),
+            episode_terms=episode_terms,
+        )
+        queue, state, observation = turn_over(
+            pomdp, sampler_state, lanes.queue, step.finished, state, step.observation
+        )
+        going_on = jnp.where(step.finished, 0.0, jnp.float32(1))
+        lanes = Lanes(
+            key=key,
+            state=state,
+            observation=observation,
+            queue=queue,
+            memory=memory,
+            previous_action=action,
+            is_first=step.finished,
+            episode_return=episode_return * going_on,
+            episode_terms={name: total * going_on for name, total in episode_terms.items()},
+        )
+        return lanes, transition
+
+    return jax.lax.scan(act, lanes, None, length)
+
+
+def next_values(
+    policy: Callable[..., tuple[ActorCriticOutput, PyTree]], trajectory: Trajectory
+) -> jax.Array:
+    """Returns the value of each state stepped to, float32 [T, B]; of an episode's final state where
+    it was truncated, and zero where it terminated.
+
+    Within an episode it is the value estimated at the next step. Final observations are passed
+    through the policy one round at a time: the last step of every lane, then each lane's latest
+    truncation not yet done. Most rollouts need one or two rounds of B observations.
+    """
+    step = trajectory.step
+    length, lanes = step.reward.shape
+    values = jnp.concatenate([trajectory.value[1:], jnp.zeros((1, lanes), jnp.float32)])
+    pending = (step.truncated & ~step.terminated).at[-1].set(True)
+    columns = jnp.arange(lanes)
+
+    def one_round(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        pending, values = carry
+        row = length - 1 - jnp.argmax(pending[::-1], axis=0)
+        observation, memory, action = jax.tree.map(
+            lambda x: x[row, columns], (step.observation, trajectory.memory, trajectory.action)
+        )
+        output, _ = policy(observation, memory, action, jnp.zeros(lanes, bool))
+        value = jnp.where(pending[row, columns], output.value, values[row, columns])
+        return pending.at[row, columns].set(False), values.at[row, columns].set(value)
+
+    _, values = jax.lax.while_loop(lambda carry: jnp.any(carry[0]), one_round, (pending, values))
+    return jnp.where(step.terminated, 0.0, values)
