@@ -1,0 +1,285 @@
+"""The experts against exhaustive search in a plain Python model of MiniGrid's dynamics."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import minigrid  # noqa: F401  (registers its environments)
+import numpy as np
+import pytest
+
+import envs_jax
+from envs_jax.minigrid import interop, tiles
+from envs_jax.minigrid.environment import GridWorld
+from envs_jax.minigrid.state import PADDING, GridState
+from envs_jax.minigrid.tasks import GoalTask, InstructionTask
+from jaxact.pomdp import POMDP, State
+
+LEFT, RIGHT, FORWARD, PICKUP, DROP, TOGGLE, DONE = range(7)
+STEPS = [(1, 0), (0, 1), (-1, 0), (0, -1)]
+WALKABLE = {tiles.EMPTY, tiles.FLOOR, tiles.OPEN_DOOR}
+PORTABLE = {tiles.KEY, tiles.BALL, tiles.BOX}
+
+
+@dataclass(frozen=True)
+class Node:
+    """A state of the model: the agent, its hands, and the cells that differ from the start."""
+
+    x: int
+    y: int
+    d: int
+    held: int
+    changed: tuple[tuple[tuple[int, int], int], ...] = ()
+
+
+@dataclass
+class Model:
+    """The reference: MiniGrid's rules on a dictionary of cells; `targets` makes it a GoTo task."""
+
+    cells: dict[tuple[int, int], int]
+    start: Node
+    targets: set[tuple[int, int]] | None
+    actions: tuple[int, ...]
+
+    def at(self, node: Node, cell: tuple[int, int]) -> int:
+        return dict(node.changed).get(cell, self.cells[cell])
+
+    def front(self, node: Node) -> tuple[int, int]:
+        return node.x + STEPS[node.d][0], node.y + STEPS[node.d][1]
+
+    def edges(self, node: Node) -> Iterator[tuple[Node, bool]]:
+        """Yields each next state and whether the step ends the episode with success."""
+        for action in self.actions:
+            after = self.step(node, action)
+            if after is None:
+                continue
+            if self.targets is None:
+                entered = self.at(node, self.front(node)) & 15 == tiles.GOAL
+                yield after, action == FORWARD and entered
+            else:
+                yield after, self.front(after) in self.targets
+
+    def step(self, node: Node, action: int) -> Node | None:
+        """Returns the next state, or None where the action is deadly."""
+        if action == LEFT:
+            return replace(node, d=(node.d + 3) % 4)
+        if action == RIGHT:
+            return replace(node, d=(node.d + 1) % 4)
+        front = self.front(node)
+        tile = self.at(node, front)
+        kind = tile & 15
+        if action == FORWARD:
+            if kind == tiles.LAVA:
+                return None
+            free = kind in WALKABLE or kind == tiles.GOAL
+            return replace(node, x=front[0], y=front[1]) if free else node
+        if action == PICKUP and kind in PORTABLE and not node.held:
+            return replace(self.put(node, front, tiles.EMPTY_TILE), held=tile)
+        if action == DROP and kind == tiles.EMPTY and node.held:
+            return replace(self.put(node, front, node.held), held=0)
+        if action == TOGGLE:
+            color = tile & 240
+            if kind == tiles.CLOSED_DOOR or (
+                kind == tiles.LOCKED_DOOR and node.held == color | tiles.KEY
+            ):
+                return self.put(node, front, color | tiles.OPEN_DOOR)
+            if kind == tiles.OPEN_DOOR:
+                return self.put(node, front, color | tiles.CLOSED_DOOR)
+        return node
+
+    def put(self, node: Node, cell: tuple[int, int], tile: int) -> Node:
+        changed = {**dict(node.changed), cell: tile}
+        if self.cells[cell] == tile:
+            del changed[cell]
+        return replace(node, changed=tuple(sorted(changed.items())))
+
+    def shortest(self) -> int | None:
+        """Returns the fewest actions that lead to success, by breadth-first search."""
+        queue, seen = deque([(self.start, 0)]), {self.start}
+        while queue:
+            node, cost = queue.popleft()
+            for after, success in self.edges(node):
+                if success:
+                    return cost + 1
+                if after not in seen:
+                    seen.add(after)
+                    queue.append((after, cost + 1))
+        return None
+
+
+def model_of(pomdp: POMDP, state: State, actions: tuple[int, ...]) -> Model:
+    """Reads one lane (of NumPy arrays)."""
+    width, height = pomdp.task.width, pomdp.task.height
+    shape = (width + 2 * PADDING, height + 2 * PADDING)
+    world = state.environment
+    inner = np.s_[PADDING:-PADDING, PADDING:-PADDING]
+    plane, marks = world.tiles.reshape(shape)[inner], world.marks.reshape(shape)[inner]
+    targets = None
+    if hasattr(state.task, "ghosts"):
+        ghosts = [[row >> x & 1 for row in map(int, state.task.ghosts[0])] for x in range(width)]
+        believed = (marks & 1).astype(int) ^ np.array(ghosts)
+        targets = {(int(x), int(y)) for x, y in np.argwhere(believed)}
+    return Model(
+        cells={(x, y): int(plane[x, y]) for x in range(width) for y in range(height)},
+        start=Node(*map(int, world.position), int(world.direction), int(world.carrying)),
+        targets=targets,
+        actions=actions,
+    )
+
+
+class Runner:
+    """Compiled loops for one world: random steps, and the expert until all lanes are through."""
+
+    def __init__(self, pomdp: POMDP) -> None:
+        self.reset = jax.jit(jax.vmap(lambda key: pomdp.reset(key)[0]))
+        step, advise = jax.vmap(pomdp.step), jax.vmap(pomdp.expert)
+
+        def wander(keys: jax.Array, state: State, length: int) -> tuple[State, jax.Array]:
+            def once(t: Any, carry: Any) -> Any:
+                state, over = carry
+                drawn = jax.vmap(lambda k: jax.random.split(jax.random.fold_in(k, t)))(keys)
+                # Forward, pickup, drop and toggle more often than turns, to change the world.
+                choices = jnp.array([0, 1, 2, 2, 2, 3, 4, 5], jnp.int32)
+                action = jax.vmap(lambda k: jax.random.choice(k, choices))(drawn[:, 0])
+                after, result = step(drawn[:, 1], state, action)
+                return after, over | result.terminated
+
+            return jax.lax.fori_loop(0, length, once, (state, jnp.zeros(len(keys), bool)))
+
+        def follow(keys: jax.Array, state: State, limit: int) -> tuple[jax.Array, jax.Array]:
+            """Returns int32[N] steps until success (`limit` if none), and whether all was valid."""
+
+            def once(carry: Any) -> Any:
+                state, over, steps, valid, t = carry
+                advice = advise(keys, state)
+                state, result = step(keys, state, advice.action)
+                steps = jnp.where(over, steps, steps + 1)
+                return state, over | result.success, steps, valid & (over | advice.valid), t + 1
+
+            count = jnp.zeros(len(keys), jnp.int32)
+            begin = (state, count < 0, count, count == 0, jnp.int32(0))
+            running = lambda carry: jnp.any(~carry[1]) & (carry[-1] < limit)  # noqa: E731
+            _, _, steps, valid, _ = jax.lax.while_loop(running, once, begin)
+            return steps, valid
+
+        self.wander, self.follow = jax.jit(wander), jax.jit(follow)
+
+
+def count_optimal(pomdp: POMDP, state: State, results: tuple[Any, Any]) -> tuple[int, int]:
+    """Compares path lengths with the shortest; returns how many are equal, and how many in all."""
+    actions = (LEFT, RIGHT, FORWARD, PICKUP, TOGGLE)
+    if isinstance(pomdp.task, InstructionTask):
+        # Moving objects about is no part of the claim; `done` is.
+        actions = (LEFT, RIGHT, FORWARD, DONE)
+    state, steps, valid = jax.tree.map(np.asarray, (state, *results))
+    equal = compared = 0
+    for lane in range(len(steps)):
+        lane_state = jax.tree.map(lambda leaf, i=lane: leaf[i], state)
+        best = model_of(pomdp, lane_state, actions).shortest()
+        if best is not None:
+            compared += 1
+            equal += int(steps[lane] == best and valid[lane])
+    return equal, compared
+
+
+def embed(world: GridState, width: int, height: int, size: int) -> GridState:
+    """Puts a W × H world into the corner of a size × size one, so that one program serves all."""
+    wall = jnp.uint8(tiles.WALL_TILE)
+
+    def enlarge(plane: jax.Array, fill: Any) -> jax.Array:
+        square = plane.reshape(width + 2 * PADDING, height + 2 * PADDING)
+        more = ((0, size - width), (0, size - height))
+        return jnp.pad(square, more, constant_values=fill).reshape(-1)
+
+    return replace(
+        world, tiles=enlarge(world.tiles, wall), marks=enlarge(world.marks, jnp.uint16(0))
+    )
+
+
+def live_states(names: list[str], size: int, seeds: int) -> State:
+    """Imports live Python episodes, half of them after 25 random actions; stacked as lanes."""
+    states = []
+    for name in names:
+        env = gymnasium.make(name).unwrapped
+        for seed in range(seeds):
+            env.reset(seed=seed)
+            rng = np.random.default_rng(seed)
+            over = False
+            for action in rng.choice([0, 1, 2, 2, 2, 3, 4, 5], 25 * (seed % 2)):
+                if not over:
+                    _, _, over, *_ = env.step(action)
+            if not over:
+                pomdp, state = interop.from_minigrid(env)
+                extent = pomdp.task.width, pomdp.task.height
+                world = embed(state.environment, *extent, size)
+                states.append(replace(state, environment=world))
+        env.close()
+    return jax.tree.map(lambda *leaves: jnp.stack([*leaves]), *states)
+
+
+GOALS = [
+    "MiniGrid-Empty-Random-6x6-v0",
+    "MiniGrid-FourRooms-v0",
+    "MiniGrid-DoorKey-5x5-v0",
+    "MiniGrid-DoorKey-6x6-v0",
+    "MiniGrid-DoorKey-8x8-v0",
+    "MiniGrid-SimpleCrossingS9N3-v0",
+    "MiniGrid-LavaCrossingS9N2-v0",
+    "MiniGrid-LavaCrossingS11N5-v0",
+]
+GO_TO = ["BabyAI-GoToLocal-v0", "BabyAI-GoToRedBallGrey-v0"]
+
+
+@pytest.mark.parametrize("names", [GOALS, GO_TO], ids=["goals", "go to"])
+def test_paths_are_shortest_in_live_worlds(names: list[str]) -> None:
+    size = 19 if names is GOALS else 8
+    task = GoalTask(size, size) if names is GOALS else InstructionTask(size, size)
+    pomdp = POMDP(GridWorld(size, size), task, interop.FixedSampler((), None), {})
+    state = live_states(names, size, seeds=30)
+    lanes = len(state.steps)
+    keys = jax.random.split(jax.random.key(0), lanes)
+    with jax.numpy_dtype_promotion("strict"):
+        results = Runner(pomdp).follow(keys, state, 200)
+    equal, compared = count_optimal(pomdp, state, results)
+    assert equal == compared
+    assert compared >= max(40, 0.9 * lanes)
+
+
+def check_optimal(name: str, lanes: int, wandering: int, seed: int = 0) -> tuple[int, int]:
+    """Compares paths from sampled episodes of `name`, after as many random steps."""
+    pomdp = envs_jax.make(name)
+    runner = Runner(pomdp)
+    keys = jax.random.split(jax.random.key(seed), lanes)
+    state, over = runner.wander(keys, runner.reset(keys), wandering)
+    going = np.flatnonzero(~np.asarray(over))
+    state = jax.tree.map(lambda leaf: leaf[going], state)
+    results = runner.follow(keys[going], state, 4 * int(state.horizon[0]))
+    return count_optimal(pomdp, state, results)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", envs_jax.ids())
+def test_paths_are_shortest_in_every_world(name: str) -> None:
+    if not name.startswith(("MiniGrid-", "BabyAI-")):
+        pytest.skip("not a grid world")
+    for wandering in (0, 40):
+        equal, compared = check_optimal(name, 400, wandering, seed=1)
+        assert compared >= 30
+        assert equal >= 0.999 * compared
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", envs_jax.ids())
+def test_solves_every_world_within_its_horizon(name: str) -> None:
+    pomdp = envs_jax.make(name)
+    runner = Runner(pomdp)
+    keys = jax.random.split(jax.random.key(2), 2000)
+    state = runner.reset(keys)
+    steps, valid = runner.follow(keys, state, int(state.horizon[0]) + 1)
+    assert np.mean(np.asarray((steps <= state.horizon) & valid)) >= 0.999
