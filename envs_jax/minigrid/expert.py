@@ -37,7 +37,7 @@ _WALKABLE = 1 << tiles.EMPTY | 1 << tiles.FLOOR | 1 << tiles.OPEN_DOOR | 1 << ti
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class _Map:
-    """Bitboards uint32[H] of the cells that matter to a plan.
+    """Bitboards word[H] (see `planner`) of the cells that matter to a plan.
 
     Attributes:
       walkable: cells to step on, neither goal nor lava.
@@ -112,7 +112,7 @@ def goto_expert(
     del key
     cells = _cells(state.tiles, width, height)
     tracked = planner.pack(_cells(state.marks, width, height) & jnp.uint16(1) != 0)
-    goals = planner.facing(tracked ^ task_state.ghosts[0])
+    goals = planner.facing(tracked ^ task_state.ghosts[0].astype(tracked.dtype))
     survey = _survey(cells, state.carrying, spare_keys=False)
     terrain, layer = _layers(survey, state.carrying)
     plan = planner.plan(terrain, goals, state.position, state.direction, layer)

@@ -1,8 +1,9 @@
 """Shortest plans over poses (x, y, heading): a breadth-first search backward from a set of goals.
 
-The set of poses reached so far is kept as bitboards: for each heading one 32-bit word a row, whose
-bit x is cell (x, y). A turn is then a bitwise or of two headings' boards, and a move is a shift: by
-one bit along x, by one word along y. One relaxation of all poses costs a dozen instructions a row.
+The set of poses reached so far is kept as bitboards: for each heading one word a row, whose bit x
+is cell (x, y). A turn is then a bitwise or of two headings' boards, and a move is a shift: by one
+bit along x, by one word along y. One relaxation of all poses costs a dozen instructions a row.
+Words are as narrow as the grid allows, uint8, uint16 or uint32 (below: `word`).
 
 Worlds that can be changed on the way (fetch the key, unlock the door) are layers: a stack of
 terrains, where acting on a gate's cell leads from the same pose of one layer to the next. The
@@ -38,10 +39,10 @@ class Terrain:
     """Where one may walk, in L layers of a grid H rows high; all are bitboards of cells.
 
     Attributes:
-      open: uint32[L, H], cells entered by a step forward.
-      slow: uint32[L, H], cells to be entered by an act and then a step, such as closed doors;
+      open: word[L, H], cells entered by a step forward.
+      slow: word[L, H], cells to be entered by an act and then a step, such as closed doors;
         disjoint from `open`.
-      gates: uint32[L - 1, H], cells that, faced in layer l and acted upon, lead to layer l + 1;
+      gates: word[L - 1, H], cells that, faced in layer l and acted upon, lead to layer l + 1;
         disjoint from `open` and `slow` of layer l.
     """
 
@@ -68,7 +69,7 @@ class Plan:
 
 
 def pack(cells: jax.Array) -> Board:
-    """Turns cells bool[W, H], W at most 32, into a bitboard uint32[H].
+    """Turns cells bool[W, H], W at most 32, into a bitboard word[H].
 
     Raises:
       ValueError: the grid is too wide for a word.
@@ -76,22 +77,23 @@ def pack(cells: jax.Array) -> Board:
     width = cells.shape[0]
     if width > MAX_WIDTH:
         raise ValueError(f"a grid {width} cells wide does not fit rows of {MAX_WIDTH} bits")
-    bits = jnp.uint32(1) << jnp.arange(width, dtype=jnp.uint32)[:, None]
-    return jnp.sum(jnp.where(cells, bits, jnp.uint32(0)), axis=0, dtype=jnp.uint32)
+    word = jnp.uint8 if width <= 8 else jnp.uint16 if width <= 16 else jnp.uint32
+    bits = word(1) << jnp.arange(width, dtype=word)[:, None]
+    return jnp.sum(jnp.where(cells, bits, word(0)), axis=0, dtype=word)
 
 
 def contains(board: Board, position: jax.Array) -> jax.Array:
-    """Says whether cell `position`, int32[2], is on the board uint32[H]; bool scalar."""
-    return (board[position[1]] >> position[0].astype(jnp.uint32)) & jnp.uint32(1) != 0
+    """Says whether cell `position`, int32[2], is on the board word[H]; bool scalar."""
+    return (board[position[1]] >> position[0].astype(board.dtype)) & 1 != 0
 
 
 def facing(cells: Board) -> Board:
-    """Returns uint32[4, H], for each heading the cells from which one of `cells` is in front."""
+    """Returns word[4, H], for each heading the cells from which one of `cells` is in front."""
     return jnp.stack(_behind((cells,) * 4))
 
 
 def standing(cells: Board) -> Board:
-    """Returns uint32[4, H], the poses on one of `cells`, in any heading."""
+    """Returns word[4, H], the poses on one of `cells`, in any heading."""
     return jnp.stack((cells,) * 4)
 
 
@@ -111,7 +113,7 @@ def plan(
 
     Args:
       terrain: where one may walk.
-      goals: uint32[4, H], goal poses of every layer, as of `facing` or `standing`.
+      goals: word[4, H], goal poses of every layer, as of `facing` or `standing`.
       position: int32[2], (x, y).
       direction: int32 scalar, 0 right, 1 down, 2 left, 3 up.
       layer: int32 scalar, the layer one is in.
@@ -140,7 +142,7 @@ class _World(NamedTuple):
     Lanes are the last axis: so the inner loops run along them, whatever the size of the grid.
 
     Attributes:
-      open: L boards uint32[H, N].
+      open: L boards word[H, N].
       slow: L boards, or None where no lane has a slow cell.
       gates: L - 1 times four boards, one a heading: poses that face a gate.
       goals: four boards.
@@ -195,10 +197,11 @@ def _search(
     )
     own = opens[layer, :, jnp.arange(len(layer))].T
     plain = layered._replace(open=(own,), slow=None, gates=(), layer=jnp.zeros_like(layer))
-    # Most worlds have no doors; one look at all lanes spares them layers and slow cells.
-    has_doors = jnp.any(terrain.slow != 0) | jnp.any(terrain.gates != 0)
-    is_plain = ~(has_doors & jnp.any(active))
-    return lax.cond(is_plain, lambda: _flood(plain), lambda: _flood(layered))
+    # Few worlds have doors; a look at all lanes at once spares the others layers and slow cells.
+    has_slow, has_gates = jnp.any(terrain.slow != 0), jnp.any(terrain.gates != 0)
+    variants = [plain, layered._replace(slow=None), layered]
+    variant = jnp.select([~jnp.any(active), has_slow, has_gates], [0, 2, 1], 0)
+    return lax.switch(variant, [functools.partial(_flood, world) for world in variants])
 
 
 @_search.def_vmap
@@ -270,13 +273,13 @@ def _relax(world: _World, passable: Any, boards: _Boards, before: Any) -> _Board
 
 
 def _behind(boards: tuple[Board, ...]) -> tuple[Board, ...]:
-    """Moves poses uint32[H, ...], one board a heading, one cell back."""
+    """Moves poses word[H, ...], one board a heading, one cell back."""
     edges = [(0, 0, 0)] * (boards[0].ndim - 1)
-    one, zero = jnp.uint32(1), jnp.uint32(0)
+    zero = jnp.zeros((), boards[0].dtype)
     return (
-        boards[0] >> one,
+        boards[0] >> 1,
         lax.pad(boards[1], zero, [(-1, 1, 0), *edges]),
-        boards[2] << one,
+        boards[2] << 1,
         lax.pad(boards[3], zero, [(1, -1, 0), *edges]),
     )
 
@@ -293,7 +296,7 @@ def _missing(world: _World, boards: _Boards) -> jax.Array:
     own = words[0]
     for level in range(1, len(boards)):
         own = jnp.where(world.layer == level, words[level], own)
-    return (~(own >> world.column.astype(jnp.uint32)) & jnp.uint32(1)).astype(jnp.int32)
+    return (~(own >> world.column.astype(own.dtype)) & 1).astype(jnp.int32)
 
 
 def _waiting(world: _World, boards: _Boards) -> jax.Array:

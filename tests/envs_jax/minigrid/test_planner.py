@@ -122,7 +122,7 @@ def test_shared_arguments_need_no_lane_axis() -> None:
 def test_standing_goals_and_inactive_lanes() -> None:
     room = jnp.zeros((5, 4), bool).at[1:4, 1:3].set(True)
     terrain = Terrain(
-        planner.pack(room)[None], jnp.zeros((1, 4), jnp.uint32), jnp.zeros((0, 4), jnp.uint32)
+        planner.pack(room)[None], jnp.zeros((1, 4), jnp.uint8), jnp.zeros((0, 4), jnp.uint8)
     )
     goals = planner.standing(planner.pack(jnp.zeros((5, 4), bool).at[3, 2].set(True)))
     start = jnp.array([1, 1], jnp.int32)
@@ -140,6 +140,11 @@ def test_boards_hold_what_was_packed() -> None:
     assert board.dtype == jnp.uint32
     for x, y in [(0, 0), (31, 24), (5, 7), (30, 1)]:
         assert planner.contains(board, jnp.array([x, y], jnp.int32)) == cells[x, y]
+
+
+def test_words_are_as_narrow_as_the_grid_allows() -> None:
+    for width, word in [(8, jnp.uint8), (9, jnp.uint16), (16, jnp.uint16), (17, jnp.uint32)]:
+        assert planner.pack(jnp.ones((width, 2), bool)).dtype == word
 
 
 def test_grids_wider_than_a_word_are_refused() -> None:
