@@ -61,13 +61,19 @@ class GridWorld(Environment):
     height: int
 
     @property
-    def action_space(self) -> Discrete:
+    def action_names(self) -> tuple[str, ...]:
         """Left, right, forward, pickup, drop, toggle, done."""
+        return ("left", "right", "forward", "pickup", "drop", "toggle", "done")
+
+    @property
+    def action_space(self) -> Discrete:
+        """Seven actions."""
         return Discrete(NUM_ACTIONS)
 
     def step(self, key: jax.Array, state: GridState, action: jax.Array) -> GridState:
         """Returns the state after one action; `key` is not used."""
         del key
+        action = jnp.asarray(action, jnp.int32)
         front = front_index(state, self.height)
         tile, mark = state.tiles[front], state.marks[front]
         empty_handed = state.carrying == 0

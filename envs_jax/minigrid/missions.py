@@ -26,7 +26,7 @@ VOCABULARY = ("<pad>", *sorted(_WORDS.split()))
 VOCABULARY_SIZE = len(VOCABULARY)
 # The longest mission of the registered worlds, "use the key to open the door and then get to the
 # goal". All worlds share it, so that their observations stack.
-MISSION_LENGTH = 12
+MISSION_LENGTH = 13
 
 _TOKENS = {word: token for token, word in enumerate(VOCABULARY)}
 _KIND_WORDS = {tiles.KEY: "key", tiles.BALL: "ball", tiles.BOX: "box", tiles.OPEN_DOOR: "door"}

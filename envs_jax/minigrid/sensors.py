@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from envs_jax.minigrid import missions, tiles
-from envs_jax.minigrid.environment import is_kind
+from envs_jax.minigrid.environment import cell_index, heading, is_kind
 from envs_jax.minigrid.state import PADDING, GridState
 from jaxact.errors import JaxactError
 from jaxact.pomdp import PyTree, Sensor
@@ -53,29 +53,42 @@ class PackedImageSensor(Sensor):
     def observe(self, state: GridState, task_state: PyTree) -> jax.Array:
         """Returns the view."""
         del task_state
-        view = self._ahead(state)
-        hand = jnp.where(state.carrying == 0, jnp.uint8(tiles.EMPTY_TILE), state.carrying)
-        shown = view.at[self.view_size // 2, self.view_size - 1].set(hand)
-        if self.see_through_walls:
-            return shown
-        return jnp.where(_visible(view), shown, jnp.uint8(tiles.UNSEEN))
-
-    def _ahead(self, state: GridState) -> jax.Array:
-        """Returns the square in front of the agent, turned so that it looks towards vy = 0."""
         size = self.view_size
-        plane = state.tiles.reshape(self.width + 2 * PADDING, self.height + 2 * PADDING)
-        direction = state.direction
-        # How far the square's low corner lies before the agent, for each direction.
-        x_back = jnp.array([0, size // 2, size - 1, size // 2], jnp.int32)[direction]
-        y_back = jnp.array([size // 2, 0, size // 2, size - 1], jnp.int32)[direction]
-        x, y = state.position
-        square = jax.lax.dynamic_slice(
-            plane, (x + PADDING - x_back, y + PADDING - y_back), (size, size)
-        )
-        turned = jnp.where(direction == 2, square.T, square)
-        turned = jnp.where(direction == 0, square.T, turned)
-        turned = jnp.where((direction == 0) | (direction == 1), turned[:, ::-1], turned)
-        return jnp.where((direction == 1) | (direction == 2), turned[::-1], turned)
+        hand = jnp.where(state.carrying == 0, jnp.uint8(tiles.EMPTY_TILE), state.carrying)
+        if self.see_through_walls:
+            return self._ahead(state, jnp.arange(size, dtype=jnp.int32)[:, None], hand)[1].T
+        bits = 1 << jnp.arange(size, dtype=jnp.int32)
+
+        def look(lit: jax.Array, vy: jax.Array) -> tuple[jax.Array, jax.Array]:
+            cells, shown = self._ahead(state, vy, hand)
+            clear = jnp.sum(jnp.where(is_kind(cells, _OPAQUE), 0, bits), dtype=jnp.int32)
+            lit_beyond = _spread(lit, clear, size)
+            seen = (lit | lit_beyond) & bits != 0
+            return lit_beyond, jnp.where(seen, shown, jnp.uint8(tiles.UNSEEN))
+
+        # The rows are walked by a scan, away from the agent: written out as elementwise code, XLA's
+        # CPU backend would compute the near rows again for every cell of the far ones.
+        start = jnp.int32(1 << size // 2)
+        _, rows = jax.lax.scan(look, start, jnp.arange(size, dtype=jnp.int32), reverse=True)
+        return rows.T
+
+    def _ahead(
+        self, state: GridState, vy: jax.Array, hand: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """Returns view row `vy` uint8[view_size], as the world has it and as the agent is shown it.
+
+        With `vy` int32[rows, 1] the rows come stacked.
+        """
+        stride = self.height + 2 * PADDING
+        forward = heading(state.direction)
+        vx = jnp.arange(self.view_size, dtype=jnp.int32)
+        ahead, aside = self.view_size - 1 - vy, vx - self.view_size // 2
+        # To the right of heading (x, y) lies (-y, x).
+        cell = cell_index(state.position, self.height)
+        cell = cell + ahead * (forward[0] * stride + forward[1])
+        cell = cell + aside * (forward[0] - forward[1] * stride)
+        cells = state.tiles.at[cell].get(mode="promise_in_bounds")
+        return cells, jnp.where((ahead == 0) & (aside == 0), hand, cells)
 
 
 @dataclass(frozen=True)
@@ -137,37 +150,30 @@ class MissionSensor(Sensor):
         del state
         return task_state.mission
 
+    def text(self, reading: jax.Array) -> str:
+        """Puts a reading into words: the mission as MiniGrid writes it."""
+        return missions.decode_mission(reading)
 
-def _visible(view: jax.Array) -> jax.Array:
-    """Returns bool[size, size]: which cells of `view` the agent sees.
 
-    Light starts in the agent's cell and goes row by row away from it. In a row it spreads sideways
-    through see-through cells; every cell it leaves, and both neighbours, are seen in that row and
-    lit in the next. Rows are bit masks (bit vx), and a scan walks them: written out as elementwise
-    code, XLA's CPU backend would compute the first rows again for every cell of the last.
+def _spread(lit: jax.Array, clear: jax.Array, size: int) -> jax.Array:
+    """Returns how light goes on from one row of the view, as bits (bit vx) of an int32.
+
+    Light spreads sideways from the lit cells through runs of clear ones. Each cell that it leaves
+    shows itself and both its neighbours, in this row and in the next one beyond.
+
+    Args:
+      lit: which cells of the row light has reached from the row before.
+      clear: which cells of the row can be seen through.
+      size: the row's length.
     """
-    size = view.shape[0]
-    bits = (1 << jnp.arange(size, dtype=jnp.int32))[:, None]
-    clear = jnp.sum(jnp.where(is_kind(view, _OPAQUE), 0, bits), axis=0, dtype=jnp.int32)
-
-    def row(lit: jax.Array, clear: jax.Array) -> tuple[jax.Array, jax.Array]:
-        spread = _flood(lit & clear, clear, size)
-        reached = (spread | spread << 1 | spread >> 1) & ((1 << size) - 1)
-        return reached, lit | reached
-
-    _, seen = jax.lax.scan(row, jnp.int32(1 << size // 2), clear, reverse=True)
-    return (seen[None, :] & bits) != 0
-
-
-def _flood(seeds: jax.Array, clear: jax.Array, size: int) -> jax.Array:
-    """Returns the bits of `clear` joined to one of `seeds` by a run of set bits (by doubling)."""
-    left = right = seeds
+    left = right = lit & clear
     left_run = right_run = clear
     distance = 1
-    while distance < size:
+    while distance < size:  # Each round doubles how far light has gone along a run.
         left |= left_run & (left << distance)
         right |= right_run & (right >> distance)
         left_run &= left_run << distance
         right_run &= right_run >> distance
         distance *= 2
-    return left | right
+    flood = left | right
+    return (flood | flood << 1 | flood >> 1) & ((1 << size) - 1)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
+from envs_jax.minigrid import expert as experts
 from envs_jax.minigrid import tiles
 from envs_jax.minigrid.environment import DROP, FORWARD, front_index, heading
 from envs_jax.minigrid.state import GridState
@@ -98,8 +99,6 @@ class GoalTask(Task):
 
     def expert(self, key: jax.Array, task_state: GoalState, state: GridState) -> ExpertAction:
         """Returns the first action of a shortest plan to the goal square."""
-        from envs_jax.minigrid import expert as experts
-
         return experts.goal_expert(key, task_state, state, self.width, self.height)
 
 
@@ -138,8 +137,6 @@ class InstructionTask(Task):
         self, key: jax.Array, task_state: InstructionState, state: GridState
     ) -> ExpertAction:
         """Returns the first action of a shortest plan to face the nearest described object."""
-        from envs_jax.minigrid import expert as experts
-
         return experts.goto_expert(key, task_state, state, self.width, self.height)
 
     def _tracked(self, state: GridState, cell: jax.Array) -> jax.Array:

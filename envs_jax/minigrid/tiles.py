@@ -50,4 +50,4 @@ ENCODING = np.stack(
 
 def decode(codes: jax.Array) -> jax.Array:
     """Turns packed codes uint8[...] into MiniGrid's encoding uint8[..., 3]."""
-    return jnp.asarray(ENCODING)[codes]
+    return jnp.asarray(ENCODING).at[codes].get(mode="promise_in_bounds")

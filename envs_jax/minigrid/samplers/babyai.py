@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,18 @@ from envs_jax.minigrid.tasks import InstructionState
 from jaxact.pomdp import Episode, PyTree, TaskSampler
 
 Target = Literal["any", "red ball", "red ball among grey", "red or blue ball"]
+
+
+class _Level(NamedTuple):
+    """A room with the agent in it; of objects drawn alike the first is the target as well as any.
+
+    uint8[size, size] tiles, int32[2], int32, and uint8[num_objects] tiles, the target's first.
+    """
+
+    board: jax.Array
+    position: jax.Array
+    direction: jax.Array
+    codes: jax.Array
 
 
 @dataclass(frozen=True)
@@ -40,33 +52,37 @@ class GoToSampler(TaskSampler):
     def sample(self, key: jax.Array, sampler_state: PyTree) -> Episode:
         """Draws one episode."""
         del sampler_state
-        return placement.until_valid(key, self._draw)
+        level = placement.until_valid(key, self._draw)
+        state = placement.grid_state(
+            level.board, level.position, level.direction, tracked=level.board == level.codes[0]
+        )
+        horizon = jnp.int32(self.max_steps)
+        kind = level.codes[0] & tiles.TYPE_MASK
+        color = level.codes[0] >> tiles.COLOR_SHIFT
+        several = jnp.sum(level.codes == level.codes[0], dtype=jnp.int32) > 1
+        task = InstructionState(
+            steps=jnp.int32(0),
+            max_steps=horizon,
+            mission=missions.go_to(kind, color, several),
+            ghosts=jnp.zeros((1, self.size), jnp.uint32),
+        )
+        return Episode(state, task, horizon)
 
-    def _draw(self, key: jax.Array) -> tuple[Episode, jax.Array]:
-        """Draws one level; returns its episode and whether it is valid."""
-        draws = jax.random.uniform(key, (3, self.num_objects + 1), jnp.float32)
-        kinds = placement.uniform_int(draws[0, 1:], tiles.KEY, tiles.BOX + 1)
-        colors = placement.uniform_int(draws[1, 1:], 0, tiles.NUM_COLORS)
+    def _draw(self, key: jax.Array) -> tuple[_Level, jax.Array]:
+        """Draws one level; returns it and whether it is valid."""
+        # One draw for the agent and one for each object: random bits are the dearest part of this.
+        draws = jax.random.uniform(key, (1 + self.num_objects,), jnp.float32)
+        direction, agent_draw = placement.split_draw(draws[0], 4)
+        looks, cell_draws = placement.split_draw(draws[1:], 3 * tiles.NUM_COLORS)
+        kinds, colors = tiles.KEY + looks % 3, looks // 3
         kinds, colors, drawn_well = self._with_target(kinds, colors)
         codes = (kinds | colors << tiles.COLOR_SHIFT).astype(jnp.uint8)
 
         room = jnp.asarray(placement.walled(self.size, self.size))
-        position, _ = placement.choose_cell(draws[0, 0], room == tiles.EMPTY_TILE)
-        direction = placement.uniform_int(draws[1, 0], 0, 4)
-        board, placed = self._scatter(room, position, codes, draws[2, 1:])
+        position, _ = placement.choose_cell(agent_draw, room == tiles.EMPTY_TILE)
+        board, placed = self._scatter(room, position, codes, cell_draws)
         valid = drawn_well & placed & placement.objects_reachable(board, position)
-
-        # The target stands first: of objects drawn alike, the first is as good a choice as any.
-        state = placement.grid_state(board, position, direction, tracked=board == codes[0])
-        horizon = jnp.int32(self.max_steps)
-        several = jnp.sum(codes == codes[0], dtype=jnp.int32) > 1
-        task = InstructionState(
-            steps=jnp.int32(0),
-            max_steps=horizon,
-            mission=missions.go_to(kinds[0], colors[0], several),
-            ghosts=jnp.zeros((1, self.size), jnp.uint32),
-        )
-        return Episode(state, task, horizon), valid
+        return _Level(board, position, direction, codes), valid
 
     def _with_target(
         self, kinds: jax.Array, colors: jax.Array

@@ -1,0 +1,163 @@
+"""Plays the Python package, records what it does, and replays it here."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import minigrid  # noqa: F401 (it registers its ids)
+import numpy as np
+from minigrid.core.world_object import Ball, Box, Door, Floor, Goal, Key, Lava, Wall
+
+from envs_jax import minigrid as jax_minigrid
+from envs_jax.minigrid import interop
+from jaxact.pomdp import POMDP, State
+
+COLORS = ("red", "green", "blue", "purple", "yellow", "grey")
+STEPS = 48
+
+# Left, right, forward, pickup, drop, toggle, done.
+MOODS = {
+    "uniform": [1, 1, 1, 1, 1, 1, 1],
+    "walker": [2, 2, 8, 0.3, 0.3, 0.3, 0.2],
+    "handler": [1, 1, 3, 3, 2, 3, 0.3],
+}
+
+
+@dataclass
+class Recording:
+    """An imported episode, the actions taken and what the package answered."""
+
+    pomdp: POMDP
+    state: State
+    actions: np.ndarray
+    first: dict[str, Any]
+    answers: dict[str, np.ndarray]
+    missions: list[str]
+
+
+def python_env(name: str, **options: Any) -> Any:
+    return gymnasium.make(name, disable_env_checker=True, **options).unwrapped
+
+
+def play(
+    env: Any, rng: np.random.Generator, *, seed: int, prefix: int, scrambled: bool
+) -> Recording:
+    """Records one episode from after `prefix` steps, the state scrambled if so wished."""
+    env.reset(seed=seed)
+    weights = np.array(list(MOODS.values())[rng.integers(len(MOODS))], float)
+    draw = partial(rng.choice, 7, p=weights / weights.sum())
+    for _ in range(prefix):
+        env.step(draw())
+    if scrambled:
+        scramble(env, rng)
+    pomdp, state = interop.from_minigrid(env)
+    first = env.gen_obs()
+    actions = draw(size=STEPS)
+    answers = defaultdict(list)
+    missions = []
+    for action in actions:
+        observation, reward, terminated, truncated, _ = env.step(action)
+        answers["image"].append(observation["image"])
+        answers["direction"].append(observation["direction"])
+        answers["reward"].append(reward)
+        answers["terminated"].append(terminated)
+        answers["truncated"].append(truncated)
+        missions.append(observation["mission"])
+    stacked = {name: np.array(values) for name, values in answers.items()}
+    return Recording(pomdp, state, actions, first, stacked, missions)
+
+
+def scramble(env: Any, rng: np.random.Generator) -> None:
+    """Changes the world by hand: things, doors, hands, pose, what time is left."""
+    empty = [(x, y) for x in range(env.width) for y in range(env.height) if not env.grid.get(x, y)]
+    rng.shuffle(empty)
+    for x, y in empty[: rng.integers(min(9, len(empty)))]:
+        env.put_obj(random_thing(rng), x, y)
+    for thing in env.grid.grid:
+        if thing is not None and thing.type == "door" and rng.random() < 0.5:
+            thing.is_open, thing.is_locked = bool(rng.integers(2)), bool(rng.integers(2))
+    if hasattr(env, "instrs") and rng.random() < 0.3:
+        move_something(env, rng)
+    if rng.random() < 0.5:
+        passable = [
+            (x, y)
+            for x in range(env.width)
+            for y in range(env.height)
+            if env.grid.get(x, y) is None or env.grid.get(x, y).can_overlap()
+        ]
+        env.agent_pos = passable[rng.integers(len(passable))]
+        env.agent_dir = int(rng.integers(4))
+    if rng.random() < 0.4:
+        env.carrying = random_portable(rng)
+    if rng.random() < 0.5:
+        env.max_steps = env.step_count + int(rng.integers(1, STEPS))
+
+
+def move_something(env: Any, rng: np.random.Generator) -> None:
+    """Moves a tracked object by hand, so that the instruction believes it elsewhere."""
+    x, y = env.instrs.desc.obj_poss[0] if env.instrs.desc.obj_poss else (0, 0)
+    empty = [index for index, thing in enumerate(env.grid.grid) if thing is None]
+    thing = env.grid.get(x, y)
+    if empty and thing is not None and thing.type != "wall":
+        env.grid.set(x, y, None)
+        env.grid.grid[empty[rng.integers(len(empty))]] = thing
+
+
+def random_portable(rng: np.random.Generator) -> Any:
+    color = COLORS[rng.integers(6)]
+    content = Key(COLORS[rng.integers(6)]) if rng.random() < 0.6 else None
+    return [Key(color), Ball(color), Box(color, content)][rng.integers(3)]
+
+
+def random_thing(rng: np.random.Generator) -> Any:
+    color = COLORS[rng.integers(6)]
+    door = Door(color, is_open=bool(rng.integers(2)), is_locked=bool(rng.integers(2)))
+    scenery = [door, door, Goal(), Lava(), Floor(color), Wall(color)]
+    return random_portable(rng) if rng.random() < 0.6 else scenery[rng.integers(len(scenery))]
+
+
+@partial(jax.jit, static_argnums=0)
+def _replay(pomdp: POMDP, states: State, actions: jax.Array) -> tuple[Any, Any]:
+    def one(state: State, actions: jax.Array) -> tuple[Any, Any]:
+        key = jax.random.key(0)
+        _, steps = jax.lax.scan(lambda s, a: pomdp.step(key, s, a), state, actions)
+        return pomdp.observe(state), steps
+
+    return jax.vmap(one)(states, actions)
+
+
+def compare(recordings: Iterable[Recording]) -> int:
+    """Replays the recordings, asserts that all agrees; returns the number of compared steps."""
+    groups: dict[Any, list[Recording]] = defaultdict(list)
+    for recording in recordings:
+        groups[replace(recording.pomdp, sampler=None)].append(recording)
+    compared = 0
+    for pomdp, group in groups.items():
+        states = jax.tree.map(lambda *leaves: np.stack(leaves), *[one.state for one in group])
+        actions = jnp.asarray(np.stack([one.actions for one in group]), jnp.int32)
+        first, steps = jax.device_get(_replay(pomdp, states, actions))
+        for lane, recording in enumerate(group):
+            _check(recording, lane, first, steps)
+            compared += len(recording.actions)
+    return compared
+
+
+def _check(recording: Recording, lane: int, first: Any, steps: Any) -> None:
+    for name in ("image", "direction"):
+        np.testing.assert_array_equal(first[name][lane], recording.first[name])
+        np.testing.assert_array_equal(steps.observation[name][lane], recording.answers[name])
+    assert jax_minigrid.decode_mission(first["mission"][lane]) == recording.first["mission"]
+    tokens = steps.observation["mission"][lane]
+    assert (tokens == first["mission"][lane]).all()
+    assert set(recording.missions) == {recording.first["mission"]}
+    np.testing.assert_array_equal(steps.terminated[lane], recording.answers["terminated"])
+    np.testing.assert_array_equal(steps.truncated[lane], recording.answers["truncated"])
+    reward = recording.answers["reward"].astype(float)
+    assert (np.abs(steps.reward[lane] - reward) <= 1e-6 * np.maximum(1, np.abs(reward))).all()

@@ -1,0 +1,80 @@
+"""Step by step, the worlds do what the Python package does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from minigrid_reference import compare, play, python_env
+
+import envs_jax
+from envs_jax.minigrid import interop
+
+IDS = [name for name in envs_jax.ids() if name.startswith(("MiniGrid-", "BabyAI-"))]
+
+
+def record(names: list[str], episodes: int, seed: int, **options: int) -> list:
+    """Records episodes, every other one scrambled, of every world."""
+    rng = np.random.default_rng(seed)
+    return [
+        play(
+            python_env(name, **options),
+            rng,
+            seed=int(rng.integers(2**31)),
+            prefix=int(rng.choice([0, 0, 5, 20])),
+            scrambled=episode % 2 == 1,
+        )
+        for name in names
+        for episode in range(episodes)
+    ]
+
+
+def test_all_worlds_agree_step_by_step():
+    recordings = record(IDS, episodes=4, seed=0)
+    assert compare(recordings) == 4 * len(IDS) * 48
+    answers = [recording.answers for recording in recordings]
+    both = [(a["terminated"] & a["truncated"]).any() for a in answers]
+    assert sum(both) >= 3
+    assert sum(a["terminated"].any() for a in answers) >= 20
+    assert sum((a["reward"] > 0).any() for a in answers) >= 10
+
+
+@pytest.mark.slow
+def test_all_worlds_agree_over_many_steps():
+    compared = sum(compare(record(IDS, episodes=40, seed=seed)) for seed in range(1, 4))
+    assert compared >= 200_000
+
+
+@pytest.mark.slow
+def test_other_worlds_of_the_same_rules_agree():
+    names = [
+        "MiniGrid-DistShift1-v0",
+        "MiniGrid-LavaGapS7-v0",
+        "MiniGrid-MultiRoom-N6-v0",
+        "BabyAI-GoToObjMaze-v0",
+        "BabyAI-GoToDoor-v0",
+        "BabyAI-GoTo-v0",
+    ]
+    assert compare(record(names, episodes=40, seed=9)) == 40 * len(names) * 48
+
+
+@pytest.mark.parametrize("view_size", [3, 5])
+def test_smaller_views_agree(view_size):
+    names = ["MiniGrid-FourRooms-v0", "MiniGrid-Empty-8x8-v0"]
+    compare(record(names, episodes=8, seed=view_size, agent_view_size=view_size))
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_a_made_world_is_the_imported_one(name):
+    env = python_env(name)
+    env.reset(seed=0)
+    pomdp, state = interop.from_minigrid(env)
+    made = envs_jax.make(name)
+    assert replace(pomdp, sampler=made.sampler) == made
+    begun, _ = jax.eval_shape(made.reset, jax.random.key(0))
+    assert jax.tree.map(lambda x: (x.shape, x.dtype), begun) == jax.tree.map(
+        lambda x: (x.shape, x.dtype), state
+    )
+    assert made.sampler.max_steps == env.max_steps == state.horizon

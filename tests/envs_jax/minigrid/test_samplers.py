@@ -1,0 +1,249 @@
+"""Levels have the package's distribution, and every one of them can be solved."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from minigrid_reference import python_env
+from scipy.stats import chi2_contingency
+
+import envs_jax
+from envs_jax.minigrid import decode_mission, tiles
+from envs_jax.minigrid.samplers import placement
+from envs_jax.minigrid.state import PADDING
+
+IDS = [name for name in envs_jax.ids() if name.startswith(("MiniGrid-", "BabyAI-"))]
+# One or two of each kind of level.
+SAMPLE = [
+    "MiniGrid-Empty-8x8-v0",
+    "MiniGrid-Empty-Random-6x6-v0",
+    "MiniGrid-FourRooms-v0",
+    "MiniGrid-DoorKey-5x5-v0",
+    "MiniGrid-DoorKey-8x8-v0",
+    "MiniGrid-LavaCrossingS9N2-v0",
+    "MiniGrid-SimpleCrossingS9N3-v0",
+    "MiniGrid-SimpleCrossingS11N5-v0",
+    "BabyAI-GoToObjS4-v0",
+    "BabyAI-GoToLocalS5N2-v0",
+    "BabyAI-GoToLocalS6N4-v0",
+    "BabyAI-GoToLocal-v0",
+    "BabyAI-GoToRedBall-v0",
+    "BabyAI-GoToRedBallGrey-v0",
+    "BabyAI-GoToRedBlueBall-v0",
+]
+QUICK_SAMPLE = [
+    "MiniGrid-DoorKey-5x5-v0",
+    "MiniGrid-SimpleCrossingS9N3-v0",
+    "BabyAI-GoToRedBlueBall-v0",
+]
+EMPTY, WALL, DOOR, KEY, BALL, BOX, GOAL, LAVA = 1, 2, 4, 5, 6, 7, 8, 9
+
+
+@dataclass
+class Level:
+    """A first state: image [W, H, 3] in MiniGrid's encoding, the agent's pose, the mission."""
+
+    image: np.ndarray
+    position: tuple[int, int]
+    direction: int
+    mission: str
+
+    def cells(self, *kinds: int) -> list[tuple[int, int]]:
+        return [tuple(cell) for cell in np.argwhere(np.isin(self.image[..., 0], kinds)).tolist()]
+
+
+def package_levels(name: str, count: int) -> list[Level]:
+    env = python_env(name)
+    levels = []
+    for seed in range(count):
+        env.reset(seed=seed)
+        position = (int(env.agent_pos[0]), int(env.agent_pos[1]))
+        levels.append(Level(env.grid.encode(), position, int(env.agent_dir), env.mission))
+    return levels
+
+
+@cache
+def our_states(name: str, count: int) -> tuple[Any, Any]:
+    keys = jax.random.split(jax.random.key(0), count)
+    return jax.device_get(jax.jit(jax.vmap(envs_jax.make(name).reset))(keys))
+
+
+def our_levels(name: str, count: int) -> list[Level]:
+    pomdp = envs_jax.make(name)
+    states, observations = our_states(name, count)
+    world = states.environment
+    shape = (pomdp.environment.width + 2 * PADDING, pomdp.environment.height + 2 * PADDING)
+    inside = slice(PADDING, -PADDING)
+    images = tiles.ENCODING[world.tiles.reshape(count, *shape)[:, inside, inside]]
+    missions = observations["mission"]
+    assert (world.carrying == 0).all()
+    return [
+        Level(image, tuple(position.tolist()), int(direction), decode_mission(mission))
+        for image, position, direction, mission in zip(
+            images, world.position, world.direction, missions, strict=True
+        )
+    ]
+
+
+def features(level: Level) -> Iterator[tuple[str, object]]:
+    """What is counted; pairs of (feature, value)."""
+    yield "agent", level.position
+    yield "direction", level.direction
+    yield "mission", level.mission
+    for name, kind in (("door", DOOR), ("key", KEY), ("ball", BALL), ("box", BOX), ("goal", GOAL)):
+        cells = level.cells(kind)
+        yield f"number of {name}", len(cells)
+        for x, y in cells:
+            yield f"{name} cell", (x, y)
+            yield f"{name} looks", tuple(level.image[x, y, 1:])
+    for line in (2, 4, level.image.shape[0] // 2):
+        if line < level.image.shape[0] - 2:
+            wall = np.isin(level.image[..., 0], (WALL, LAVA))
+            yield f"column {line}", wall[line].tobytes()
+            yield f"row {line}", wall[:, line].tobytes()
+    nearest = [abs(x - level.position[0]) + abs(y - level.position[1]) for x, y in things(level)]
+    yield "distance of the nearest thing", min(nearest, default=-1)
+
+
+def things(level: Level) -> list[tuple[int, int]]:
+    return level.cells(KEY, BALL, BOX, GOAL)
+
+
+def p_value(ours: Counter, theirs: Counter) -> float:
+    """Returns the p-value of the two samples having one distribution; rare values are pooled."""
+    kept = [value for value in ours | theirs if ours[value] + theirs[value] >= 20]
+    table = [[sample[value] for value in kept] for sample in (ours, theirs)]
+    for row, sample in zip(table, (ours, theirs), strict=True):
+        row.append(sample.total() - sum(row))
+    columns = np.array(table)[:, np.sum(table, axis=0) > 0]
+    return 1.0 if columns.shape[1] < 2 else chi2_contingency(columns).pvalue
+
+
+@pytest.mark.parametrize("name", SAMPLE)
+@pytest.mark.slow
+def test_levels_of_every_kind_have_the_packages_distribution(name):
+    compare_distributions(name, 4000, 4000)
+
+
+@pytest.mark.parametrize("name", QUICK_SAMPLE)
+def test_levels_have_the_packages_distribution(name):
+    compare_distributions(name, 2000, 500)
+
+
+def compare_distributions(name: str, our_count: int, their_count: int) -> None:
+    counts: dict[str, tuple[Counter, Counter]] = {}
+    for side, levels in enumerate((our_levels(name, our_count), package_levels(name, their_count))):
+        for level in levels:
+            for feature, value in features(level):
+                counts.setdefault(feature, (Counter(), Counter()))[side][value] += 1
+    for feature, (ours, theirs) in counts.items():
+        assert p_value(ours, theirs) > 1e-5, feature
+
+
+def flood(level: Level, passable: tuple[int, ...]) -> set[tuple[int, int]]:
+    """Returns the cells that the agent can stand on, going over cells of the given types."""
+    seen, queue = set(), [level.position]
+    while queue:
+        x, y = queue.pop()
+        if (x, y) in seen:
+            continue
+        seen.add((x, y))
+        for cell in ((x + 1, y), (x - 1, y), (x, y + 1), (x, y - 1)):
+            if level.image[cell][0] in passable:
+                queue.append(cell)
+    return seen
+
+
+def touched(cells: set[tuple[int, int]], x: int, y: int) -> bool:
+    return bool({(x + 1, y), (x - 1, y), (x, y + 1), (x, y - 1)} & cells)
+
+
+@pytest.mark.parametrize("name", IDS)
+@pytest.mark.slow
+def test_every_level_of_every_world_can_be_solved(name):
+    assert_solvable(name, 2000)
+
+
+@pytest.mark.parametrize("name", QUICK_SAMPLE)
+def test_every_level_can_be_solved(name):
+    assert_solvable(name, 2000)
+
+
+def assert_solvable(name: str, count: int) -> None:
+    for level in our_levels(name, count):
+        assert level.image[level.position][0] == EMPTY
+        if name.startswith("BabyAI"):
+            stands = flood(level, (EMPTY,))
+            assert all(touched(stands, x, y) for x, y in things(level))
+            continue
+        (goal,) = level.cells(GOAL)
+        assert goal in flood(level, (EMPTY, GOAL, KEY, DOOR))
+        if "DoorKey" in name:
+            stands = flood(level, (EMPTY,))
+            (key,), (door,) = level.cells(KEY), level.cells(DOOR)
+            assert touched(stands, *key)
+            assert goal not in flood(level, (EMPTY, GOAL, KEY))
+            assert tuple(level.image[door][1:]) == (tiles.YELLOW, 2)
+
+
+@pytest.mark.parametrize("name", QUICK_SAMPLE[-1:])
+def test_the_target_is_what_the_mission_says(name):
+    assert_targets(name)
+
+
+@pytest.mark.parametrize("name", [name for name in IDS if name.startswith("BabyAI")])
+@pytest.mark.slow
+def test_all_targets_are_what_the_missions_say(name):
+    assert_targets(name)
+
+
+def assert_targets(name: str) -> None:
+    states, observations = our_states(name, 2000)
+    for marks, codes, mission in zip(
+        states.environment.marks,
+        states.environment.tiles,
+        observations["mission"],
+        strict=True,
+    ):
+        (code,) = set(codes[marks == 1].tolist())
+        *_, article, color, kind = decode_mission(mission).split()
+        kind_code = {"key": KEY, "ball": BALL, "box": BOX}[kind]
+        named = ("red", "green", "blue", "purple", "yellow", "grey").index(color)
+        assert code == tiles.tile(kind_code, named)
+        assert (marks == 1).sum() == (codes == code).sum()
+        assert article == ("a" if (marks == 1).sum() > 1 else "the")
+
+
+def test_choose_cell_is_uniform_over_the_free_cells_and_says_when_there_are_none():
+    free = np.array([[False, True, True], [True, False, True]])
+    draws = (np.arange(400, dtype=np.float32) + 0.5) / 400
+    choose = jax.vmap(placement.choose_cell, in_axes=(0, None))
+    cells, found = choose(draws, jnp.asarray(free))
+    assert found.all()
+    assert Counter(map(tuple, np.asarray(cells).tolist())) == {
+        (0, 1): 100,
+        (0, 2): 100,
+        (1, 0): 100,
+        (1, 2): 100,
+    }
+    assert not placement.choose_cell(np.float32(0.5), jnp.zeros((2, 3), bool))[1]
+    last, _ = placement.choose_cell(np.nextafter(np.float32(1), np.float32(0)), jnp.asarray(free))
+    assert last.tolist() == [1, 2]
+
+
+def test_objects_behind_others_are_not_reachable():
+    board = placement.walled(6, 6)
+    board[1, 2] = board[2, 1] = tiles.tile(tiles.BALL, tiles.RED)
+    assert placement.objects_reachable(board, np.array([4, 4], np.int32))
+    board[1, 1] = tiles.tile(tiles.KEY, tiles.BLUE)
+    assert not placement.objects_reachable(board, np.array([4, 4], np.int32))
+    board[2, 1] = tiles.tile(tiles.LOCKED_DOOR, tiles.RED)
+    assert placement.objects_reachable(board, np.array([4, 4], np.int32))
