@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import minigrid  # noqa: F401  (registers its environments)
 import numpy as np
 import pytest
+from minigrid.core.world_object import Ball, Box
 
 import envs_jax
 from envs_jax.minigrid import interop, tiles
@@ -233,6 +234,7 @@ GOALS = [
     "MiniGrid-LavaCrossingS9N2-v0",
     "MiniGrid-LavaCrossingS11N5-v0",
 ]
+TARGETS = ("key", "ball", "box")
 GO_TO = ["BabyAI-GoToLocal-v0", "BabyAI-GoToRedBallGrey-v0"]
 
 
@@ -249,6 +251,29 @@ def test_paths_are_shortest_in_live_worlds(names: list[str]) -> None:
     equal, compared = count_optimal(pomdp, state, results)
     assert equal == compared
     assert compared >= max(40, 0.9 * lanes)
+
+
+def test_carries_off_what_blocks_every_way() -> None:
+    """The agent is walled in by balls in a corner, with empty and with full hands."""
+    env = gymnasium.make("BabyAI-GoToObjS6-v1").unwrapped
+    states = []
+    for held in (None, Ball("green")):
+        env.reset(seed=0)
+        target = next(thing for thing in env.grid.grid if thing and thing.type in TARGETS)
+        env.grid.set(*target.cur_pos, None)
+        for x, y, thing in [(2, 1, Ball("red")), (2, 2, Ball("red")), (1, 3, Box("grey"))]:
+            env.grid.set(x, y, thing)
+        env.grid.set(4, 4, target)
+        target.cur_pos = (4, 4)
+        env.instrs.desc.obj_poss = [(4, 4)]
+        env.agent_pos, env.agent_dir, env.carrying = (1, 1), 0, held
+        pomdp, state = interop.from_minigrid(env)
+        states.append(state)
+    env.close()
+    state = jax.tree.map(lambda *leaves: jnp.stack([*leaves]), *states)
+    steps, valid = Runner(pomdp).follow(jax.random.split(jax.random.key(0), 2), state, 60)
+    assert np.all(np.asarray(valid))
+    assert np.all(np.asarray(steps) < 30)
 
 
 def check_optimal(name: str, lanes: int, wandering: int, seed: int = 0) -> tuple[int, int]:
