@@ -16,7 +16,7 @@ import os
 import shutil
 import warnings
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -152,15 +152,48 @@ class Checkpoints:
           JaxactError: there is no checkpoint that can be read, it belongs to another experiment, or
             the structure is not that of `like`. Nothing is compiled before these checks.
         """
+
+        def read(manifest: dict[str, Any]) -> Restored:
+            self._check_owner(manifest, name, fingerprint)
+            self._check_structure(manifest, manifest["leaves"], like)
+            return self._read(manifest, like, range(len(manifest["leaves"])))
+
+        return self._first_readable(step, read)
+
+    def restore_part(self, step: int | None, part: str, like: PyTree) -> Restored:
+        """Reads one attribute of the saved tree, such as its parameters, whatever the rest is.
+
+        Args:
+          step: which one; None means the newest that can be read.
+          part: the attribute's name.
+          like: as for `restore`, of the part alone.
+
+        Raises:
+          JaxactError: as for `restore`.
+        """
+
+        def read(manifest: dict[str, Any]) -> Restored:
+            prefix = f".{part}"
+            leaves = {
+                i: {**leaf, "path": leaf["path"].removeprefix(prefix)}
+                for i, leaf in enumerate(manifest["leaves"])
+                if leaf["path"] == prefix or leaf["path"].startswith((f"{prefix}[", f"{prefix}."))
+            }
+            self._check_structure(manifest, list(leaves.values()), like)
+            return self._read(manifest, like, leaves)
+
+        return self._first_readable(step, read)
+
+    def _first_readable(
+        self, step: int | None, read: Callable[[dict[str, Any]], Restored]
+    ) -> Restored:
+        """Reads the given checkpoint, or the newest that is not damaged."""
         candidates = self.steps()[::-1] if step is None else [step]
         if not candidates:
             raise JaxactError(f"there are no checkpoints in {self._directory}")
         for candidate in candidates:
             try:
-                manifest = self._manifest(candidate)
-                self._check_owner(manifest, name, fingerprint)
-                self._check_structure(manifest, like)
-                return self._read(manifest, like)
+                return read(self._manifest(candidate))
             except _Damaged as damage:
                 if candidate == candidates[-1]:
                     raise self._unreadable(candidate, damage) from None
@@ -195,8 +228,10 @@ class Checkpoints:
                 f"{_owner(name, fingerprint)}"
             )
 
-    def _check_structure(self, manifest: dict[str, Any], like: PyTree) -> None:
-        saved, expected = manifest["leaves"], _describe(like)
+    def _check_structure(
+        self, manifest: dict[str, Any], saved: list[dict[str, Any]], like: PyTree
+    ) -> None:
+        expected = _describe(like)
         for one, other in zip(saved, expected, strict=False):
             if one != other:
                 raise JaxactError(
@@ -212,14 +247,14 @@ class Checkpoints:
                 f"{extra}"
             )
 
-    def _read(self, manifest: dict[str, Any], like: PyTree) -> Restored:
+    def _read(self, manifest: dict[str, Any], like: PyTree, indices: Iterable[int]) -> Restored:
         path = self._path(manifest["step"])
         for name, (size, crc) in manifest["files"].items():
             if not (path / name).is_file():
                 raise _Damaged(f"{name} is missing")
             if [size, crc] != _checksum(path / name):
                 raise _Damaged(f"{name} is not what was written")
-        state = _read_arrays(path / _ARRAYS, like)
+        state = _read_arrays(path / _ARRAYS, like, indices)
         return Restored(manifest["step"], state, manifest["metadata"])
 
     def _unreadable(self, step: int, damage: _Damaged) -> JaxactError:
@@ -280,9 +315,11 @@ def _write_arrays(path: Path, state: PyTree) -> None:
             checkpointer.save(path, args=ocp.args.PyTreeSave(stored))
 
 
-def _read_arrays(path: Path, like: PyTree) -> PyTree:
+def _read_arrays(path: Path, like: PyTree, indices: Iterable[int]) -> PyTree:
+    """Reads the stored arrays of these indices, one for each leaf of `like`."""
     leaves, structure = jax.tree.flatten(like)
-    stored = {str(i): leaf for i, leaf in enumerate(leaves) if math.prod(np.shape(leaf))}
+    named = {str(i): leaf for i, leaf in zip(indices, leaves, strict=True)}
+    stored = {name: leaf for name, leaf in named.items() if math.prod(np.shape(leaf))}
     arrays = {}
     if stored:
         with _checkpointer() as (ocp, checkpointer):
@@ -293,12 +330,18 @@ def _read_arrays(path: Path, like: PyTree) -> PyTree:
                 for name, leaf in stored.items()
             }
             try:
-                arrays = checkpointer.restore(path, args=ocp.args.PyTreeRestore(restore_args=how))
+                like_stored = dict.fromkeys(stored, 0)
+                arrays = checkpointer.restore(
+                    path,
+                    args=ocp.args.PyTreeRestore(
+                        item=like_stored, restore_args=how, partial_restore=True
+                    ),
+                )
             except (ValueError, KeyError, OSError) as error:
                 raise _Damaged(str(error).partition("\n")[0]) from None
     restored = [
-        _as_leaf(arrays[str(i)] if str(i) in arrays else _empty(leaf), leaf)
-        for i, leaf in enumerate(leaves)
+        _as_leaf(arrays[name] if name in arrays else _empty(leaf), leaf)
+        for name, leaf in named.items()
     ]
     return jax.tree.unflatten(structure, restored)
 

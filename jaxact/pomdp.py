@@ -142,6 +142,11 @@ class Environment(ABC):
     """The transition function. It knows no goals, rewards, horizons or sensors."""
 
     @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of discrete actions, for people to read; by default there are none."""
+        return ()
+
+    @property
     @abstractmethod
     def action_space(self) -> Space:
         """The actions `step` takes."""
@@ -205,6 +210,24 @@ class Sensor(ABC):
     @abstractmethod
     def observe(self, state: PyTree, task_state: PyTree) -> jax.Array:
         """Returns the reading in environment state `state`."""
+
+
+@runtime_checkable
+class Pictured(Protocol):
+    """A sensor that can show a person what it sees."""
+
+    def picture(self, state: PyTree, task_state: PyTree) -> jax.Array:
+        """Returns an RGB frame, uint8 [H, W, 3]."""
+        ...
+
+
+@runtime_checkable
+class Worded(Protocol):
+    """A sensor whose reading is text; works on the host, outside of `jit`."""
+
+    def text(self, reading: jax.Array) -> str:
+        """Puts a reading into words."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -289,6 +312,22 @@ class POMDP:
             name: sensor.observe(state.environment, state.task)
             for name, sensor in self.sensors.items()
         }
+
+    def pictures(self, state: State) -> dict[str, jax.Array]:
+        """Returns an RGB frame uint8 [H, W, 3] of each sensor that can be pictured."""
+        return {
+            name: sensor.picture(state.environment, state.task)
+            for name, sensor in self.sensors.items()
+            if isinstance(sensor, Pictured)
+        }
+
+    def words(self, observation: Mapping[str, jax.Array]) -> str:
+        """Returns what the sensors that read text say, on the host; empty if there are none."""
+        return "; ".join(
+            sensor.text(observation[name])
+            for name, sensor in self.sensors.items()
+            if isinstance(sensor, Worded)
+        )
 
     def expert(self, key: jax.Array, state: State) -> ExpertAction:
         """Returns the task's own advice.

@@ -98,7 +98,7 @@ def make_train(
     return train
 
 
-def concatenate(rows: list[Metrics], backend: Any = np) -> Metrics:
+def concatenate(rows: list[dict[str, Any]], backend: Any = np) -> dict[str, Any]:
     """Joins metrics of several scans end to end; a metric that some lack is NaN there.
 
     Args:
@@ -147,8 +147,22 @@ class Program:
         def begin(key: jax.Array, numbers: Numbers) -> TrainState:
             return train_state.start(with_numbers(self.experiment, dict(numbers)), key)
 
-        shardings = jax.tree.map(lambda spec: NamedSharding(self.mesh, spec), _SPECS)
-        return jax.jit(begin, out_shardings=shardings)(key, numbers)
+        return jax.jit(begin, out_shardings=self._shardings)(key, numbers)
+
+    def like(self, key: jax.Array) -> TrainState:
+        """Returns the shapes, dtypes and placement of a train state, without computing one."""
+
+        def place(sharding: NamedSharding, part: Any) -> Any:
+            return jax.tree.map(
+                lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=sharding), part
+            )
+
+        shape = jax.eval_shape(lambda key: train_state.start(self.experiment, key), key)
+        return jax.tree.map(place, self._shardings, shape)
+
+    @property
+    def _shardings(self) -> Any:
+        return jax.tree.map(lambda spec: NamedSharding(self.mesh, spec), _SPECS)
 
     def stage(self, index: int, length: int) -> Any:
         """Returns a stage's jitted function (state, numbers, limit) -> (state, metrics [length]).

@@ -223,6 +223,7 @@ def rollout(
     Returns:
       The lanes where they then stand, and what happened, [T, B, ...].
     """
+
     def act(lanes: Lanes, _: None) -> tuple[Lanes, Trajectory]:
         keys = jnp.moveaxis(jax.vmap(lambda k: jax.random.split(k, 5))(lanes.key), 1, 0)
         key, action_keys, world_keys, expert_keys, forcing_keys = keys

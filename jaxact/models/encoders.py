@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import flax.linen as nn
@@ -12,12 +13,11 @@ from jaxact.models.convolution import Convolution
 
 # Kaiming-style gain for layers that a rectifier follows.
 RELU = nn.initializers.orthogonal(2.0**0.5)
+_UNIT = nn.initializers.normal(0.5)
 
 
 class GridCodes(nn.Module):
-    """Embeds each cell of a grid observation: the sum of an embedding for each of its codes.
-
-    Embeddings are products with one-hot codes: their gradient is a matrix product, no scatter.
+    """Embeds each cell of a grid observation, every combination of its codes by a row of its own.
 
     Attributes:
       features: size of a cell's embedding.
@@ -30,14 +30,11 @@ class GridCodes(nn.Module):
     @nn.compact
     def __call__(self, codes: jax.Array) -> jax.Array:
         """Maps integer codes [..., W, H, len(sizes)] to float32 [..., W, H, features]."""
-        one_hot = jnp.concatenate(
-            [
-                jax.nn.one_hot(codes[..., i], size, dtype=jnp.float32)
-                for i, size in enumerate(self.sizes)
-            ],
-            axis=-1,
-        )
-        return nn.Dense(self.features)(one_hot)
+        index = jnp.zeros(codes.shape[:-1], jnp.int32)
+        for i, size in enumerate(self.sizes):
+            index = index * size + codes[..., i].astype(jnp.int32)
+        table = nn.Embed(math.prod(self.sizes), self.features, embedding_init=_UNIT)
+        return table(index)
 
 
 class BagOfWords(nn.Module):
@@ -56,8 +53,8 @@ class BagOfWords(nn.Module):
     @nn.compact
     def __call__(self, tokens: jax.Array) -> jax.Array:
         """Maps integer tokens [..., length] to float32 [..., features]."""
-        counts = jnp.sum(jax.nn.one_hot(tokens - 1, self.vocabulary, dtype=jnp.float32), axis=-2)
-        return nn.Dense(self.features)(counts)
+        words = nn.Embed(self.vocabulary, self.features, embedding_init=_UNIT)(tokens)
+        return jnp.sum(jnp.where(tokens[..., None] == 0, 0.0, words), axis=-2)
 
 
 class WordsGRU(nn.Module):
@@ -75,7 +72,7 @@ class WordsGRU(nn.Module):
     def __call__(self, tokens: jax.Array) -> jax.Array:
         """Maps integer tokens [..., length] to float32 [..., features]."""
         flat = tokens.reshape((-1, tokens.shape[-1]))
-        words = nn.Dense(self.features)(jax.nn.one_hot(flat, self.vocabulary, dtype=jnp.float32))
+        words = nn.Embed(self.vocabulary, self.features, embedding_init=_UNIT)(flat)
         cell = nn.GRUCell(self.features, parent=None)
         parameters = self.param(
             "cell", lambda key: cell.init(key, jnp.zeros((1, self.features)), words[:1, 0])

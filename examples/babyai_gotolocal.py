@@ -1,0 +1,29 @@
+"""BabyAI-GoToLocal: "go to the red ball" among eight objects. DAgger first, then PPO.
+
+python -m jaxact.train examples/babyai_gotolocal.py
+"""
+
+import envs_jax
+from jaxact import Experiment, Stage, TrainingPipeline
+from jaxact.losses import PPO, Imitation
+from jaxact.models import GRU, ActorCritic, InstructedGrid
+from jaxact.schedules import Linear
+
+pomdp = envs_jax.make("BabyAI-GoToLocal-v0")
+
+experiment = Experiment(
+    name="babyai_gotolocal",
+    pomdp=pomdp,
+    model=ActorCritic(pomdp.action_space, InstructedGrid(), GRU(128)),
+    pipeline=TrainingPipeline(
+        stages=(
+            Stage(
+                losses={"imitation": Imitation()},
+                teacher_forcing=Linear(1.0, 0.0, steps=500_000),
+                steps=1_000_000,
+                overrides={"learning_rate": 1e-3, "epochs": 2},
+            ),
+            Stage(losses={"ppo": PPO()}, steps=1_000_000),
+        ),
+    ),
+)

@@ -1,0 +1,155 @@
+"""The command lines of `python -m jaxact.train` and `python -m jaxact.evaluate`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+import tyro
+
+from jaxact.errors import JaxactError
+from jaxact.options import Options
+
+Arguments = TypeVar("Arguments")
+
+# XLA's newer code generator for CPUs takes about twice as long to compile chains of small
+# operations, such as worlds and planners are, and they run no faster for it.
+_XLA_FLAGS = "--xla_cpu_use_fusion_emitters=false"
+
+
+@dataclass(frozen=True)
+class TrainArguments(Options):
+    """Trains an experiment, or goes on with a run."""
+
+    experiment: tyro.conf.Positional[str | None] = None
+    """A Python file that defines `experiment`, a dotted module name, or the name of a shipped
+    example. With --resume it may be left out: the run's own copy is used."""
+
+    seed: int = 0
+    """Of everything random; a resumed run keeps its own."""
+
+    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """PATH=VALUE overrides one value of the experiment, for example
+    pipeline.stages.0.losses.ppo.clip=0.2; may be repeated. --dry-run lists them all."""
+
+    dry_run: bool = False
+    """Print the parts, their values, shapes, parameters, FLOPs and memory; then stop."""
+
+    compilation_cache: bool = False
+    """Keep compiled programs in the user's cache directory, so that later runs start at once."""
+
+    output: Path | None = Path("runs")
+    """Directory for runs: the run goes to OUTPUT/<experiment>/<time of day>."""
+
+
+@dataclass(frozen=True)
+class EvaluateArguments:
+    """Evaluates a run's policy, or the expert of its task, on held-out episodes."""
+
+    run: tyro.conf.Positional[str]
+    """A run's directory; or, with --expert, an experiment as jaxact.train takes it."""
+    episodes: int = 1000
+    """How many held-out episodes are played, each once."""
+    seed: int = 0
+    """Of the episodes: the same seed gives the same episodes to every policy."""
+    greedy: bool = False
+    """Take the most likely actions instead of samples."""
+    checkpoint: str = "newest"
+    """newest, best, all, or the step of a checkpoint."""
+    expert: bool = False
+    """Evaluate the task's expert instead of a policy."""
+    video: Path | None = None
+    """Film the first episode into this file (.gif or .mp4)."""
+    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """PATH=VALUE overrides one value of the experiment, to evaluate under other conditions."""
+
+
+def run_train() -> None:
+    """Runs `python -m jaxact.train`."""
+    _run("jaxact.train", TrainArguments, _train)
+
+
+def run_evaluate() -> None:
+    """Runs `python -m jaxact.evaluate`."""
+    _run("jaxact.evaluate", EvaluateArguments, _evaluate)
+
+
+def _run(
+    program: str, arguments: type[Arguments], command: Callable[[Arguments], int | None]
+) -> None:
+    """Parses the command line, runs the command, and prints bad input as one sentence."""
+    parsed = tyro.cli(arguments, prog=f"python -m {program}")
+    _set_xla_flags()
+    try:
+        code = command(parsed)
+    except JaxactError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        code = 2
+    sys.exit(code)
+
+
+def _set_xla_flags() -> None:
+    """Sets XLA's flags, unless the user has; jax reads them when it first computes something."""
+    flags = os.environ.get("XLA_FLAGS", "")
+    if "xla_cpu_use_fusion_emitters" not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} {_XLA_FLAGS}".strip()
+
+
+def _use_compilation_cache() -> None:
+    import jax
+    import jaxlib
+
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    path = cache / "jaxact" / f"jaxlib-{jaxlib.__version__}"
+    jax.config.update("jax_compilation_cache_dir", str(path))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
+def _train(arguments: TrainArguments) -> int:
+    from jaxact.describe import describe
+    from jaxact.loading import load_experiment
+    from jaxact.overrides import override
+    from jaxact.runs import open_run, read_config
+    from jaxact.train import Run
+
+    name, seed, assignments = arguments.experiment, arguments.seed, arguments.set
+    if arguments.resume is not None:
+        config = read_config(open_run(arguments.resume))
+        seed, assignments = config["seed"], tuple(config["overrides"]) + assignments
+        name = name or str(arguments.resume / "source" / config["source"])
+    if name is None:
+        raise JaxactError("name an experiment to train, or a run to --resume")
+    if arguments.compilation_cache:
+        _use_compilation_cache()
+    experiment, source = load_experiment(name)
+    experiment = override(experiment, assignments)
+    if arguments.dry_run:
+        print(describe(experiment, arguments.devices))
+        return 0
+    options = Options(**{f.name: getattr(arguments, f.name) for f in fields(Options)})
+    config = {"overrides": list(assignments), "source": source.name}
+    result = Run(experiment, seed, options, source, config).run()
+    print(f"run: {result.run}")
+    return 0 if result.interrupted is None else 128 + result.interrupted
+
+
+def _evaluate(arguments: EvaluateArguments) -> None:
+    from jaxact.evaluate import evaluate_run, report_expert
+
+    if arguments.expert:
+        report_expert(arguments.run, arguments.set, arguments.episodes, arguments.seed)
+    else:
+        evaluate_run(
+            arguments.run,
+            overrides=arguments.set,
+            checkpoint=arguments.checkpoint,
+            episodes=arguments.episodes,
+            seed=arguments.seed,
+            greedy=arguments.greedy,
+            video=arguments.video,
+        )

@@ -1,0 +1,111 @@
+"""Films of episodes: what the sensors show, with mission, policy and value beside it."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxact.distributions import Categorical
+from jaxact.errors import JaxactError
+from jaxact.policy import Policy, PolicyMemory
+from jaxact.pomdp import POMDP
+from jaxact.train_state import make_key
+from jaxact.video import annotate
+
+
+def record_episode(
+    pomdp: POMDP, policy: Policy, *, seed: int = 0, greedy: bool = False, max_steps: int = 200
+) -> np.ndarray:
+    """Plays one episode and films it.
+
+    Args:
+      pomdp: the world; at least one sensor must be `Pictured`.
+      policy: who plays.
+      seed: of the episode.
+      greedy: whether the most likely actions are taken.
+      max_steps: the film ends after so many steps.
+
+    Returns:
+      uint8 [T, H, W, 3], at least one frame.
+
+    Raises:
+      JaxactError: no sensor can be pictured.
+    """
+    start, advance, show = _player(pomdp, policy.model, greedy)
+    reset_key, step_key = jax.random.split(make_key(seed))
+    state, observation, memory = start(reset_key)
+    mission = pomdp.words(observation) or None
+    total, frames = 0.0, []
+    for t in range(max_steps):
+        key = jax.random.fold_in(step_key, t)
+        pictures = jax.device_get(show(state))
+        state, observation, memory, step, action, output = advance(
+            policy.params, key, state, observation, memory
+        )
+        reward = float(step.reward)
+        total += reward
+        discrete = isinstance(output.distribution, Categorical)
+        names = pomdp.environment.action_names if discrete else ()
+        frames.append(
+            annotate(
+                side_by_side(list(pictures.values())),
+                action_names=names,
+                action_probabilities=np.asarray(output.distribution.probabilities) if names else (),
+                action=int(action) if discrete else 0,
+                value=float(output.value),
+                reward=reward,
+                episode_return=total,
+                step=t,
+                mission=mission,
+            )
+        )
+        if step.finished:
+            break
+    return np.stack(frames)
+
+
+def side_by_side(pictures: list[np.ndarray]) -> np.ndarray:
+    """Puts pictures uint8 [H, W, 3] next to each other, centred on black.
+
+    Raises:
+      JaxactError: there are none.
+    """
+    if not pictures:
+        raise JaxactError(
+            "there is nothing to film: no sensor has a method picture(state, task_state)"
+        )
+    height = max(picture.shape[0] for picture in pictures)
+
+    def centred(picture: np.ndarray) -> np.ndarray:
+        spare = height - picture.shape[0]
+        return np.pad(picture, ((spare // 2, spare - spare // 2), (0, 0), (0, 0)))
+
+    gap = np.zeros((height, 8, 3), np.uint8)
+    row = [centred(pictures[0])]
+    for picture in pictures[1:]:
+        row += [gap, centred(picture)]
+    return np.concatenate(row, axis=1)
+
+
+@lru_cache(maxsize=16)
+def _player(pomdp: POMDP, model: Any, greedy: bool) -> tuple[Any, Any, Any]:
+    """Compiles the start of an episode, a step of it and its pictures."""
+
+    def start(key: jax.Array) -> tuple[Any, ...]:
+        state, observation = pomdp.reset(key)
+        return state, observation, Policy(model, (), pomdp.action_space).initial_memory()
+
+    def advance(
+        params: Any, key: jax.Array, state: Any, observation: Any, memory: PolicyMemory
+    ) -> tuple[Any, ...]:
+        policy = Policy(model, params, pomdp.action_space)
+        act_key, world_key = jax.random.split(key)
+        output, _ = policy.output(observation, memory)
+        action, memory = policy.act(act_key, observation, memory, greedy)
+        state, step = pomdp.step(world_key, state, action)
+        return state, step.observation, memory, step, action, output
+
+    return jax.jit(start), jax.jit(advance), jax.jit(pomdp.pictures)

@@ -1,0 +1,154 @@
+"""A smoke test for one's own worlds: `check_pomdp(pomdp)` finds what training would trip over."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import chex
+import jax
+import jax.numpy as jnp
+
+from jaxact.pomdp import POMDP, FinishedEpisodes, State, Step
+
+
+def check_pomdp(pomdp: POMDP, *, seed: int = 0, lanes: int = 4, steps: int = 16) -> None:
+    """Checks a POMDP's shapes, dtypes, purity, spaces, flags, tracing and bounds.
+
+    Args:
+      pomdp: to be checked.
+      seed: of the episodes played with random actions.
+      lanes: how many.
+      steps: how many of each.
+
+    Raises:
+      AssertionError: with a sentence that says what is wrong.
+    """
+    assert hash(pomdp) == hash(pomdp), "the POMDP is not hashable"
+    key = jax.random.key(seed)
+    state, observation = pomdp.reset(key)
+    action = pomdp.action_space.sample(key)
+    _check_structure(pomdp, state, observation, action)
+    _check_purity(pomdp, state, action)
+    _check_batch(pomdp, key, lanes, steps)
+    _check_expert(pomdp, key, state)
+    _check_sampler(pomdp, key, state)
+
+
+def _signature(tree: Any) -> Any:
+    return jax.tree.map(lambda x: (jnp.shape(x), jnp.result_type(x), _is_weak(x)), tree)
+
+
+def _is_weak(x: Any) -> bool:
+    return bool(getattr(getattr(x, "aval", x), "weak_type", False))
+
+
+def _is_scalar(x: jax.Array, dtype: Any) -> bool:
+    return x.dtype == dtype and x.shape == ()
+
+
+def _check_structure(
+    pomdp: POMDP, state: State, observation: dict[str, jax.Array], action: Any
+) -> None:
+    space = pomdp.observation_space
+    for name, expected in space.structure.items():
+        seen = observation[name]
+        assert (seen.shape, seen.dtype) == (expected.shape, expected.dtype), (
+            f"sensor {name!r} returns {seen.dtype}{list(seen.shape)}, "
+            f"but its space says {expected.dtype}{list(expected.shape)}"
+        )
+        assert bool(space.spaces[name].contains(seen)), (
+            f"the first reading of sensor {name!r} lies outside its space"
+        )
+    assert bool(pomdp.action_space.contains(action)), "the action space does not contain its sample"
+    after, step = pomdp.step(jax.random.key(1), state, action)
+    assert _signature(after) == _signature(state), (
+        "step changes the structure, shapes or dtypes of the state (a weakly typed number counts): "
+        f"{_first_difference(state, after)}"
+    )
+    _check_step(step)
+
+
+def _check_step(step: Step) -> None:
+    for name in ("terminated", "truncated", "success"):
+        flag = getattr(step, name)
+        assert _is_scalar(flag, jnp.bool_), f"{name} must be a bool scalar"
+    named = {**step.reward_terms, **{f"metric {n}": x for n, x in step.metrics.items()}}
+    for name, value in named.items():
+        assert _is_scalar(value, jnp.float32), (
+            f"{name} must be a float32 scalar, it is {value.dtype}{list(value.shape)}"
+        )
+    assert step.reward.dtype == jnp.float32, "the reward must be float32"
+
+
+def _check_purity(pomdp: POMDP, state: State, action: Any) -> None:
+    key = jax.random.key(2)
+    plain = pomdp.step(key, state, action)
+    again = pomdp.step(key, state, action)
+    chex.assert_trees_all_equal(plain, again, custom_message="step is not a pure function")
+    compiled = jax.jit(lambda k, s, a: pomdp.step(k, s, a))(key, state, action)
+    chex.assert_trees_all_close(
+        plain, compiled, rtol=1e-5, custom_message="step differs under jit from step without"
+    )
+
+
+def _check_batch(pomdp: POMDP, key: jax.Array, lanes: int, steps: int) -> None:
+    chex.clear_trace_counter()
+    step = jax.jit(chex.assert_max_traces(jax.vmap(pomdp.step), n=1))
+    state, observation = jax.jit(jax.vmap(pomdp.reset))(jax.random.split(key, lanes))
+    inside = jax.jit(jax.vmap(pomdp.observation_space.contains))
+    for t in range(steps):
+        keys = jax.random.split(jax.random.fold_in(key, t), lanes)
+        action = jax.vmap(pomdp.action_space.sample)(keys)
+        last, (state, result) = state, step(keys, state, action)
+        observation = result.observation
+        assert bool(jnp.all(inside(observation))), f"a reading leaves its space after {t + 1} steps"
+        total = sum(result.reward_terms.values(), start=jnp.zeros(lanes, jnp.float32))
+        assert bool(jnp.allclose(result.reward, total)), "the reward is not the sum of its terms"
+        assert bool(jnp.all(jnp.isfinite(result.reward))), "a reward is not finite"
+        assert bool(jnp.all(result.truncated == (last.steps + 1 >= last.horizon))), (
+            "truncated is not steps >= horizon"
+        )
+
+
+def _check_expert(pomdp: POMDP, key: jax.Array, state: State) -> None:
+    if not pomdp.has_expert:
+        return
+    advice = pomdp.expert(key, state)
+    expected = pomdp.action_space.structure
+    chex.assert_trees_all_equal_shapes_and_dtypes(advice.action, expected)
+    assert _is_scalar(advice.valid, jnp.bool_), "the expert's `valid` must be a bool scalar"
+    if bool(advice.valid):
+        assert bool(pomdp.action_space.contains(advice.action)), (
+            "the expert's action is not in the action space"
+        )
+
+
+def _check_sampler(pomdp: POMDP, key: jax.Array, state: State) -> None:
+    before = pomdp.sampler.init(key)
+    finished = FinishedEpisodes(
+        mask=jnp.ones((1, 1), bool),
+        success=jnp.ones((1, 1), bool),
+        episode_return=jnp.ones((1, 1), jnp.float32),
+        length=jnp.ones((1, 1), jnp.int32),
+        task=jax.tree.map(lambda x: x[None, None], state.task),
+    )
+    after = pomdp.sampler.update(before, finished)
+    assert _signature(after) == _signature(before), (
+        "the sampler's update changes the structure, shapes or dtypes of its state"
+    )
+
+
+def _first_difference(before: Any, after: Any) -> str:
+    pairs = zip(
+        jax.tree_util.tree_leaves_with_path(_signature(before), is_leaf=_is_entry),
+        jax.tree_util.tree_leaves_with_path(_signature(after), is_leaf=_is_entry),
+        strict=False,
+    )
+    for (path, old), (_, new) in pairs:
+        if old != new:
+            return f"{jax.tree_util.keystr(path)} was {old}, is {new} (shape, dtype, weak)"
+    return "the tree structures differ"
+
+
+def _is_entry(x: Any) -> bool:
+    return isinstance(x, tuple) and len(x) == 3 and isinstance(x[2], bool)
