@@ -104,7 +104,7 @@ def features(level: Level) -> Iterator[tuple[str, object]]:
         for x, y in cells:
             yield f"{name} cell", (x, y)
             yield f"{name} looks", tuple(level.image[x, y, 1:])
-    for line in (2, 4, level.image.shape[0] // 2):
+    for line in sorted({2, 4, level.image.shape[0] // 2}):
         if line < level.image.shape[0] - 2:
             wall = np.isin(level.image[..., 0], (WALL, LAVA))
             yield f"column {line}", wall[line].tobytes()
