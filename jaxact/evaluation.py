@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxact.caching import cached_by_identity
 from jaxact.policy import Policy, PolicyMemory
 from jaxact.pomdp import POMDP, PyTree, State
 from jaxact.rollout import select
@@ -98,7 +98,7 @@ Actor = Callable[[PyTree, jax.Array, _Play], tuple[PyTree, PyTree]]
 Player = Callable[[PyTree, jax.Array], _Play]
 
 
-@lru_cache(maxsize=16)
+@cached_by_identity
 def _policy_player(pomdp: POMDP, model: Any, greedy: bool) -> Player:
     def act(params: PyTree, keys: jax.Array, play: _Play) -> tuple[PyTree, PyTree]:
         policy = Policy(model, params, pomdp.action_space)
@@ -115,7 +115,7 @@ def _policy_player(pomdp: POMDP, model: Any, greedy: bool) -> Player:
     return _player(pomdp, act, initial)
 
 
-@lru_cache(maxsize=16)
+@cached_by_identity
 def _expert_player(pomdp: POMDP) -> Player:
     def act(params: PyTree, keys: jax.Array, play: _Play) -> tuple[PyTree, PyTree]:
         del params

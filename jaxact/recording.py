@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any
 
 import jax
 import numpy as np
 
+from jaxact.caching import cached_by_identity
 from jaxact.distributions import Categorical
 from jaxact.errors import JaxactError
 from jaxact.policy import Policy, PolicyMemory
@@ -90,7 +90,7 @@ def side_by_side(pictures: list[np.ndarray]) -> np.ndarray:
     return np.concatenate(row, axis=1)
 
 
-@lru_cache(maxsize=16)
+@cached_by_identity
 def _player(pomdp: POMDP, model: Any, greedy: bool) -> tuple[Any, Any, Any]:
     """Compiles the start of an episode, a step of it and its pictures."""
 

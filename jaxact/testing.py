@@ -93,7 +93,7 @@ def _check_purity(pomdp: POMDP, state: State, action: Any) -> None:
 
 def _check_batch(pomdp: POMDP, key: jax.Array, lanes: int, steps: int) -> None:
     chex.clear_trace_counter()
-    step = jax.jit(chex.assert_max_traces(jax.vmap(pomdp.step), n=1))
+    step = jax.jit(jax.vmap(chex.assert_max_traces(_fresh_step(pomdp), n=1)))
     state, observation = jax.jit(jax.vmap(pomdp.reset))(jax.random.split(key, lanes))
     inside = jax.jit(jax.vmap(pomdp.observation_space.contains))
     for t in range(steps):
@@ -108,6 +108,15 @@ def _check_batch(pomdp: POMDP, key: jax.Array, lanes: int, steps: int) -> None:
         assert bool(jnp.all(result.truncated == (last.steps + 1 >= last.horizon))), (
             "truncated is not steps >= horizon"
         )
+
+
+def _fresh_step(pomdp: POMDP) -> Any:
+    """Returns a function object of its own, so that its traces are counted from zero."""
+
+    def step(key: jax.Array, state: State, action: Any) -> tuple[State, Step]:
+        return pomdp.step(key, state, action)
+
+    return step
 
 
 def _check_expert(pomdp: POMDP, key: jax.Array, state: State) -> None:

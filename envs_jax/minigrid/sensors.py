@@ -120,6 +120,28 @@ class ImageSensor(Sensor):
         """Returns the image."""
         return tiles.decode(self._packed.observe(state, task_state))
 
+    def picture(self, state: GridState, task_state: PyTree) -> jax.Array:
+        """Returns the world from above, what is seen lighter, beside the agent's own view."""
+        # The renderer lightens what the sensor sees, so it imports this module.
+        from envs_jax.minigrid.rendering import render, render_egocentric
+
+        tile_size = 32 if max(self.width, self.height) <= 10 else 16
+        world = render(
+            state,
+            self.width,
+            self.height,
+            tile_size,
+            view_size=self.view_size,
+            see_through_walls=self.see_through_walls,
+        )
+        view = render_egocentric(self._packed.observe(state, task_state), tile_size)
+        tall = max(world.shape[0], view.shape[0])
+
+        def padded(frame: jax.Array, right: int) -> jax.Array:
+            return jnp.pad(frame, ((0, tall - frame.shape[0]), (0, right), (0, 0)))
+
+        return jnp.concatenate([padded(world, tile_size // 2), padded(view, 0)], axis=1)
+
 
 @dataclass(frozen=True)
 class DirectionSensor(Sensor):

@@ -105,7 +105,7 @@ class InstructedGrid(nn.Module):
     """A grid view read in the light of an instruction.
 
     Cells are embedded, modulated by the instruction (so that a cell can tell that it holds what is
-    asked for), mixed, and laid out as one vector that keeps where each cell was.
+    asked for) and laid out as one vector that keeps where each cell was.
 
     Attributes:
       features: size of the result.
@@ -116,8 +116,7 @@ class InstructedGrid(nn.Module):
     """
 
     features: int = 128
-    cell_features: int = 32
-    mixed_features: int = 16
+    cell_features: int = 16
     words: nn.Module = BagOfWords(32)
     image: str = "image"
     mission: str = "mission"
@@ -128,10 +127,10 @@ class InstructedGrid(nn.Module):
         instruction = self.words(observation[self.mission])
         cells = GridCodes(self.cell_features)(observation[self.image])
         cells = nn.relu(FiLM()(cells, instruction))
-        cells = nn.relu(nn.Dense(self.mixed_features, kernel_init=RELU)(cells))
         flat = cells.reshape((*cells.shape[:-3], -1))
-        flat = jnp.concatenate([flat, instruction], axis=-1)
-        return nn.relu(nn.Dense(self.features, kernel_init=RELU)(flat))
+        # The sum of two products is the product with both side by side, without the copy.
+        hidden = nn.Dense(self.features, kernel_init=RELU)(flat)
+        return nn.relu(hidden + nn.Dense(self.features, use_bias=False)(instruction))
 
 
 class Image(nn.Module):
