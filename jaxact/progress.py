@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Mapping
@@ -35,7 +36,7 @@ class ProgressDisplay:
         self._interval = interval
         self._console = Console()
         self._rate = _Rate()
-        self._last_line = 0.0
+        self._last_line = -math.inf
         self._live: Live | None = None
         self._bar = Progress(
             TextColumn("[bold]{task.description}"),
@@ -92,7 +93,7 @@ class ProgressDisplay:
 
     def _print(self, text: str) -> None:
         if self._live is not None:
-            self._live.console.print(text, highlight=False)
+            self._live.console.print(text, markup=False, highlight=False)
         else:
             print(text, file=sys.stdout, flush=True)
 

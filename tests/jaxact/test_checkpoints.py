@@ -24,7 +24,7 @@ from jaxact.errors import JaxactError
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Counters:
-    steps: jax.Array
+    steps: Any
     done: jax.Array
 
 
@@ -73,6 +73,17 @@ def test_restores_from_an_abstract_state(tmp_path: Path) -> None:
     assert_same(checkpoints.restore(1, jax.eval_shape(lambda: state)).state, state)
     checkpoints.save(2, (), metadata={})
     assert checkpoints.restore(2, ()).state == ()
+
+
+def test_a_part_is_restored_whatever_the_rest_is(tmp_path: Path) -> None:
+    checkpoints = Checkpoints(tmp_path)
+    saved = Counters(steps={"a": jnp.arange(3), "b": jax.random.key(1)}, done=jnp.array(True))
+    checkpoints.save(1, saved, metadata={})
+    like = jax.eval_shape(lambda: saved.steps)
+    assert_same(checkpoints.restore_part(None, "steps", like).state, saved.steps)
+    assert_same(checkpoints.restore_part(1, "done", jnp.array(False)).state, saved.done)
+    with pytest.raises(JaxactError, match=r"it lacks \['c'\]"):
+        checkpoints.restore_part(1, "steps", {**like, "c": jnp.zeros(1)})
 
 
 def test_keeps_the_last_and_the_best(tmp_path: Path) -> None:
