@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from jaxact.errors import JaxactError
+
 
 @dataclass(frozen=True)
 class Options:
@@ -52,3 +54,16 @@ class Options:
 
     progress: bool = True
     """Show progress."""
+
+    def check(self) -> None:
+        """Finds numbers that mean nothing.
+
+        Raises:
+          JaxactError: one is too small.
+        """
+        least = {"devices": 1, "total_steps": 1, "log_every": 1, "keep_last": 1}
+        zero = ("evaluate_every", "evaluation_episodes", "checkpoint_every", "video_every")
+        for name, low in {**least, **dict.fromkeys(zero, 0)}.items():
+            given = getattr(self, name)
+            if given is not None and given < low:
+                raise JaxactError(f"{name} must be at least {low}, got {given}")

@@ -12,7 +12,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
@@ -104,12 +104,14 @@ class Run:
     config: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self.options.check()
         self.program = Program(self.experiment, choose_devices(self.options.devices))
         self.fingerprint = fingerprint(to_json(self.experiment))
         self.directory: Path | None = None
         self.checkpoints: Checkpoints | None = None
         self.log: RunLog | None = None
         self.evaluation: Evaluation | None = None
+        self.evaluated_at = -1
         self.interrupted: signal.Signals | None = None
 
     def run(self) -> TrainResult:
@@ -119,6 +121,7 @@ class Run:
         history: list[dict[str, Any]] = []
         numbers = self.program.numbers()
         with (
+            self.log or nullcontext(),
             ProgressDisplay(total, enabled=self.options.progress) as self.display,
             self._signals(),
         ):
@@ -126,8 +129,6 @@ class Run:
                 state = self._train_stage(index, state, numbers, total, history)
             if self.interrupted is None:
                 self._finish(state)
-        if self.log is not None:
-            self.log.close()
         return TrainResult(
             state=state,
             metrics=concatenate(history),
@@ -140,31 +141,32 @@ class Run:
     def _begin(self) -> TrainState:
         """Makes or opens the run's directory; returns the first train state."""
         options = self.options
+        key, params = make_key(self.seed), None
+        resumed = options.resume is not None
         if options.resume is not None:
             self.directory = open_run(options.resume)
-        elif options.output is not None:
+        elif options.initial_weights is not None:
+            weights = Checkpoints(open_run(options.initial_weights) / "checkpoints")
+            params = weights.restore_part(None, "params", self.program.like(key).params).state
+        if options.output is not None and not resumed:
             config = {"seed": self.seed, "fingerprint": self.fingerprint, **self.config}
             config["experiment"] = to_json(self.experiment)
             self.directory = create_run(options.output, self.experiment.name, config, self.source)
         if self.directory is not None:
             self.checkpoints = Checkpoints(self.directory / "checkpoints", options.keep_last)
-        resumed = options.resume is not None
-        state = self._restore() if resumed else self.program.start(make_key(self.seed))
-        if options.initial_weights is not None and not resumed:
-            weights = Checkpoints(open_run(options.initial_weights) / "checkpoints")
-            params = weights.restore_part(None, "params", state.params).state
+        state = self._restore(key) if resumed else self.program.start(key)
+        if params is not None:
             state = dataclasses.replace(state, params=params)
         if self.directory is not None:
             steps = self._steps(state) if resumed else None
             self.log = RunLog(self.directory, resume_step=steps)
         return state
 
-    def _restore(self) -> TrainState:
+    def _restore(self, key: jax.Array) -> TrainState:
         """Reads the newest checkpoint of the run that is resumed; checked before compiling."""
         assert self.checkpoints is not None
-        like = self.program.like(make_key(self.seed))
         return self.checkpoints.restore(
-            None, like, name=self.experiment.name, fingerprint=self.fingerprint
+            None, self.program.like(key), name=self.experiment.name, fingerprint=self.fingerprint
         ).state
 
     def _train_stage(
@@ -236,6 +238,7 @@ class Run:
         self.evaluation = evaluate_policy(
             self.experiment.pomdp, self._policy(state), episodes, seed=self.seed, greedy=greedy
         )
+        self.evaluated_at = step
         summary = self.evaluation.summary()
         low, high = summary["success"]["interval"]
         self.display.message(
@@ -264,9 +267,11 @@ class Run:
     def _save(self, state: TrainState) -> None:
         if self.checkpoints is None:
             return
-        score = None if self.evaluation is None else float(self.evaluation.success.mean())
+        step, score = self._steps(state), None
+        if self.evaluation is not None and self.evaluated_at == step:
+            score = float(self.evaluation.success.mean())
         self.checkpoints.save(
-            self._steps(state),
+            step,
             state,
             metadata={"name": self.experiment.name, "fingerprint": self.fingerprint},
             score=score,

@@ -178,7 +178,7 @@ def _optimize(
         grads, metrics = jax.grad(objective, has_aux=True)(params, _take_lanes(batch, chosen))
         if axis_name is not None:
             grads, metrics = jax.lax.pmean((grads, metrics), axis_name)
-        metrics["train/gradient_norm"] = optax.global_norm(grads)
+        metrics["train/gradient_norm"] = optax.tree.norm(grads)
         # Optimizers are others' code, which may rely on JAX's default promotion of dtypes.
         with jax.numpy_dtype_promotion("standard"):
             updates, optimizer_state = optimizer.update(grads, optimizer_state, params)
