@@ -1,4 +1,4 @@
-"""BabyAI-GoToLocal: "go to the red ball" among eight objects. DAgger first, then PPO.
+"""BabyAI-GoToLocal, "go to the red ball" among eight objects: DAgger first, then PPO.
 
 python -m jaxact.train examples/babyai_gotolocal.py
 """
@@ -19,11 +19,19 @@ experiment = Experiment(
         stages=(
             Stage(
                 losses={"imitation": Imitation()},
-                teacher_forcing=Linear(1.0, 0.0, steps=500_000),
+                teacher_forcing=Linear(1.0, 0.0, steps=5e5),
                 steps=1_000_000,
-                overrides={"learning_rate": 1e-3, "epochs": 2},
+                overrides={"learning_rate": Linear(2e-3, 5e-4, steps=1e6)},
             ),
-            Stage(losses={"ppo": PPO()}, steps=1_000_000),
+            Stage(
+                losses={"ppo": PPO(clip=0.2)},
+                steps=2_000_000,
+                overrides={"learning_rate": Linear(1e-3, 1e-4, steps=2e6)},
+            ),
         ),
+        lanes=512,
+        rollout_length=16,
+        epochs=2,
+        minibatches=4,
     ),
 )

@@ -7,6 +7,7 @@ import envs_jax
 from jaxact import Experiment, Stage, TrainingPipeline
 from jaxact.losses import PPO
 from jaxact.models import GRU, ActorCritic, InstructedGrid
+from jaxact.schedules import Linear
 
 pomdp = envs_jax.make("BabyAI-GoToLocal-v0")
 
@@ -15,7 +16,11 @@ experiment = Experiment(
     pomdp=pomdp,
     model=ActorCritic(pomdp.action_space, InstructedGrid(), GRU(128)),
     pipeline=TrainingPipeline(
-        stages=(Stage(losses={"ppo": PPO(clip=0.2)}, steps=15_000_000),),
-        learning_rate=1e-3,
+        stages=(Stage(losses={"ppo": PPO(clip=0.2)}, steps=6_000_000),),
+        lanes=512,
+        rollout_length=16,
+        epochs=2,
+        minibatches=4,
+        learning_rate=Linear(1e-3, 1e-4, steps=6e6),
     ),
 )

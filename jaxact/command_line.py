@@ -83,7 +83,7 @@ def _run(
 ) -> None:
     """Parses the command line, runs the command, and prints bad input as one sentence."""
     parsed = tyro.cli(arguments, prog=f"python -m {program}")
-    _set_xla_flags()
+    set_xla_flags()
     try:
         code = command(parsed)
     except JaxactError as error:
@@ -92,7 +92,7 @@ def _run(
     sys.exit(code)
 
 
-def _set_xla_flags() -> None:
+def set_xla_flags() -> None:
     """Sets XLA's flags, unless the user has; jax reads them when it first computes something."""
     flags = os.environ.get("XLA_FLAGS", "")
     if "xla_cpu_use_fusion_emitters" not in flags:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import flax.linen as nn
@@ -17,7 +16,10 @@ _UNIT = nn.initializers.normal(0.5)
 
 
 class GridCodes(nn.Module):
-    """Embeds each cell of a grid observation, every combination of its codes by a row of its own.
+    """Embeds each cell of a grid observation: the sum of an embedding for each of its codes.
+
+    What is learnt of a colour holds for every kind of thing that has it. The sums of all
+    combinations are laid out first, so that a cell costs one look-up.
 
     Attributes:
       features: size of a cell's embedding.
@@ -31,10 +33,12 @@ class GridCodes(nn.Module):
     def __call__(self, codes: jax.Array) -> jax.Array:
         """Maps integer codes [..., W, H, len(sizes)] to float32 [..., W, H, features]."""
         index = jnp.zeros(codes.shape[:-1], jnp.int32)
+        table = jnp.zeros((1, self.features), jnp.float32)
         for i, size in enumerate(self.sizes):
             index = index * size + codes[..., i].astype(jnp.int32)
-        table = nn.Embed(math.prod(self.sizes), self.features, embedding_init=_UNIT)
-        return table(index)
+            embedding = self.param(f"code_{i}", _UNIT, (size, self.features), jnp.float32)
+            table = (table[:, None] + embedding).reshape(-1, self.features)
+        return table.at[index].get(mode="clip")
 
 
 class BagOfWords(nn.Module):
@@ -53,7 +57,8 @@ class BagOfWords(nn.Module):
     @nn.compact
     def __call__(self, tokens: jax.Array) -> jax.Array:
         """Maps integer tokens [..., length] to float32 [..., features]."""
-        words = nn.Embed(self.vocabulary, self.features, embedding_init=_UNIT)(tokens)
+        shape = (self.vocabulary, self.features)
+        words = self.param("table", _UNIT, shape, jnp.float32).at[tokens].get(mode="clip")
         return jnp.sum(jnp.where(tokens[..., None] == 0, 0.0, words), axis=-2)
 
 
@@ -104,12 +109,14 @@ class FiLM(nn.Module):
 class InstructedGrid(nn.Module):
     """A grid view read in the light of an instruction.
 
-    Cells are embedded, modulated by the instruction (so that a cell can tell that it holds what is
-    asked for) and laid out as one vector that keeps where each cell was.
+    Cells are embedded, modulated by the instruction, passed through a layer of their own (so that a
+    cell can tell that it holds all that is asked for) and laid out as one vector that keeps where
+    each cell was.
 
     Attributes:
       features: size of the result.
       cell_features: size of a cell's embedding.
+      mixed_features: size of what a cell passes on.
       words: the instruction's encoder, `BagOfWords` or `WordsGRU`.
       image: name of the grid observation.
       mission: name of the instruction's tokens.
@@ -117,6 +124,7 @@ class InstructedGrid(nn.Module):
 
     features: int = 128
     cell_features: int = 16
+    mixed_features: int = 8
     words: nn.Module = BagOfWords(32)
     image: str = "image"
     mission: str = "mission"
@@ -127,6 +135,7 @@ class InstructedGrid(nn.Module):
         instruction = self.words(observation[self.mission])
         cells = GridCodes(self.cell_features)(observation[self.image])
         cells = nn.relu(FiLM()(cells, instruction))
+        cells = nn.relu(nn.Dense(self.mixed_features, kernel_init=RELU)(cells))
         flat = cells.reshape((*cells.shape[:-3], -1))
         # The sum of two products is the product with both side by side, without the copy.
         hidden = nn.Dense(self.features, kernel_init=RELU)(flat)

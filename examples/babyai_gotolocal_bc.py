@@ -1,0 +1,26 @@
+"""BabyAI-GoToLocal with behaviour cloning on the agent's own states.
+
+python -m jaxact.train examples/babyai_gotolocal_bc.py
+"""
+
+import envs_jax
+from jaxact import Experiment, Stage, TrainingPipeline
+from jaxact.losses import Imitation
+from jaxact.models import GRU, ActorCritic, InstructedGrid
+from jaxact.schedules import Linear
+
+pomdp = envs_jax.make("BabyAI-GoToLocal-v0")
+
+experiment = Experiment(
+    name="babyai_gotolocal_bc",
+    pomdp=pomdp,
+    model=ActorCritic(pomdp.action_space, InstructedGrid(), GRU(128)),
+    pipeline=TrainingPipeline(
+        stages=(Stage(losses={"imitation": Imitation()}, steps=2_000_000),),
+        lanes=512,
+        rollout_length=16,
+        epochs=2,
+        minibatches=4,
+        learning_rate=Linear(1e-3, 1e-4, steps=2e6),
+    ),
+)

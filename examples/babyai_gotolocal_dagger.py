@@ -1,0 +1,32 @@
+"""BabyAI-GoToLocal with DAgger: behaviour cloning, the expert acting less and less often.
+
+python -m jaxact.train examples/babyai_gotolocal_dagger.py
+"""
+
+import envs_jax
+from jaxact import Experiment, Stage, TrainingPipeline
+from jaxact.losses import Imitation
+from jaxact.models import GRU, ActorCritic, InstructedGrid
+from jaxact.schedules import Linear
+
+pomdp = envs_jax.make("BabyAI-GoToLocal-v0")
+
+experiment = Experiment(
+    name="babyai_gotolocal_dagger",
+    pomdp=pomdp,
+    model=ActorCritic(pomdp.action_space, InstructedGrid(), GRU(128)),
+    pipeline=TrainingPipeline(
+        stages=(
+            Stage(
+                losses={"imitation": Imitation()},
+                teacher_forcing=Linear(1.0, 0.0, steps=1e6),
+                steps=2_000_000,
+            ),
+        ),
+        lanes=512,
+        rollout_length=16,
+        epochs=2,
+        minibatches=4,
+        learning_rate=Linear(1e-3, 1e-4, steps=2e6),
+    ),
+)
