@@ -19,14 +19,14 @@ experiment = Experiment(
         stages=(
             Stage(
                 losses={"imitation": Imitation()},
-                teacher_forcing=Linear(1.0, 0.0, steps=5e5),
-                steps=1_000_000,
-                overrides={"learning_rate": Linear(2e-3, 5e-4, steps=1e6)},
+                teacher_forcing=Linear(1.0, 0.0, steps=3e5),
+                steps=600_000,
+                overrides={"learning_rate": Linear(2e-3, 1e-3, steps=6e5)},
             ),
             Stage(
                 losses={"ppo": PPO(clip=0.2)},
-                steps=2_000_000,
-                overrides={"learning_rate": Linear(1e-3, 1e-4, steps=2e6)},
+                steps=1_400_000,
+                overrides={"learning_rate": Linear(1e-3, 1e-4, steps=1.4e6)},
             ),
         ),
         lanes=512,

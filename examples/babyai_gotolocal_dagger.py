@@ -19,14 +19,14 @@ experiment = Experiment(
         stages=(
             Stage(
                 losses={"imitation": Imitation()},
-                teacher_forcing=Linear(1.0, 0.0, steps=1e6),
-                steps=2_000_000,
+                teacher_forcing=Linear(1.0, 0.0, steps=5e5),
+                steps=1_000_000,
             ),
         ),
         lanes=512,
         rollout_length=16,
         epochs=2,
         minibatches=4,
-        learning_rate=Linear(1e-3, 1e-4, steps=2e6),
+        learning_rate=Linear(1e-3, 1e-4, steps=1e6),
     ),
 )
