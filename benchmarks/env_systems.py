@@ -1,0 +1,428 @@
+"""The systems whose worlds are timed: jaxact's own, and its peers, each run as well as it can be.
+
+`build` starts one of them; what it returns runs repeats and says what was seen. A peer that is not
+installed, or that lacks an id, raises `Unsupported`.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from types import SimpleNamespace
+from typing import Any, Protocol
+
+import numpy as np
+
+PyTree = Any
+
+# Each JAX system draws from the generator that it is fastest with: NAVIX's levels come from
+# categorical draws, which philox makes slower.
+PHILOX, THREEFRY = "philox2x32", "threefry2x32"
+# MiniGrid's worlds are Python objects: more of them are not stepped any faster.
+PYTHON_LANES = 8
+
+
+class Unsupported(Exception):
+    """A peer cannot run this; the message says why."""
+
+
+class Running(Protocol):
+    """A system under way."""
+
+    compile_seconds: float
+
+    def run(self) -> float:
+        """Runs one repeat; returns the seconds it took."""
+        ...
+
+    def tallies(self) -> dict[str, float]:
+        """Returns `checksum`, `reward` and `finished` so far."""
+        ...
+
+
+@dataclass(frozen=True)
+class Job:
+    """What one process measures.
+
+    Attributes:
+      id: Farama's id of the world.
+      system: a key of `SYSTEMS`.
+      lanes: worlds side by side.
+      steps: of every lane in one repeat.
+      seed: of everything random.
+      devices: the lanes are sharded over so many (JAX systems).
+      variant: a choice from `SYSTEMS[system].variants`.
+    """
+
+    id: str
+    system: str
+    lanes: int
+    steps: int
+    seed: int
+    devices: int
+    variant: str
+
+
+@dataclass(frozen=True)
+class System:
+    """One system.
+
+    Attributes:
+      build: starts it.
+      observation: what is consumed at every step.
+      turnover: what happens when an episode ends.
+      variants: ways to run it; all are tried, the fastest is reported. For JAX systems these are
+        XLA_FLAGS.
+      prng: the generator of its JAX keys; None if it is no JAX system.
+      share: of the steps asked for; slow systems need fewer for a repeat as long.
+    """
+
+    build: Callable[[Job], tuple[Running, int]]
+    observation: str
+    turnover: str
+    variants: tuple[str, ...]
+    prng: str | None = None
+    share: float = 1.0
+
+    @property
+    def is_jax(self) -> bool:
+        """Whether it runs in the common loop, on JAX devices."""
+        return self.prng is not None
+
+
+def horizon(name: str) -> int:
+    """Returns how many steps jaxact's world `name` allows; peers are given the same."""
+    import jax
+
+    import envs_jax
+
+    state, _ = envs_jax.make(name).reset(jax.random.key(0))
+    return int(state.horizon)
+
+
+def _require(package: str) -> None:
+    if find_spec(package) is None:
+        raise Unsupported("not installed (pip install 'jaxact[bench]')")
+
+
+def _compile(world: Any, job: Job) -> tuple[Running, int]:
+    from benchmarks.jax_loop import compile_loop
+
+    prng = SYSTEMS[job.system].prng
+    return compile_loop(world, job.seed, prng, job.lanes, job.steps, job.devices), job.lanes
+
+
+def _jaxact(job: Job) -> tuple[Running, int]:
+    import envs_jax
+
+    return _compile(JaxactWorld(envs_jax.make(job.id)), job)
+
+
+class JaxactWorld:
+    """jaxact's worlds with the episode queues that its training uses."""
+
+    def __init__(self, pomdp: Any) -> None:
+        self.pomdp = pomdp
+        self.action_space = pomdp.action_space
+
+    def begin(self, key: Any, lanes: int) -> tuple[PyTree, PyTree]:
+        """See `benchmarks.jax_loop.World`."""
+        from dataclasses import replace
+
+        import jax
+        import jax.numpy as jnp
+
+        from jaxact.rollout import QUEUE_LENGTH, start_lanes
+
+        sampler_key, lanes_key, ages_key = jax.random.split(key, 3)
+        sampler_state = self.pomdp.sampler.init(sampler_key)
+        no_model = SimpleNamespace(initial_memory=lambda lanes: ())
+        keys = jax.random.split(lanes_key, lanes)
+        started = start_lanes(self.pomdp, sampler_state, no_model, keys, QUEUE_LENGTH)
+        ages = jax.random.randint(ages_key, (lanes,), 0, started.state.horizon, jnp.int32)
+        # One copy of the sampler's state a lane, so that all leaves have the same first axis.
+        sampler_states = jax.tree.map(
+            lambda x: jnp.broadcast_to(x, (lanes, *x.shape)), sampler_state
+        )
+        state = replace(started.state, steps=ages)
+        return (state, started.queue, sampler_states), started.observation
+
+    def step(self, key: Any, state: PyTree, action: Any) -> tuple[PyTree, PyTree, Any, Any]:
+        """See `benchmarks.jax_loop.World`."""
+        import jax
+
+        from jaxact.rollout import turn_over
+
+        worlds, queue, sampler_states = state
+        keys = jax.random.split(key, worlds.steps.shape[0])
+        worlds, step = jax.vmap(self.pomdp.step)(keys, worlds, action)
+        sampler_state = jax.tree.map(lambda x: x[0], sampler_states)
+        queue, worlds, observation = turn_over(
+            self.pomdp, sampler_state, queue, step.finished, worlds, step.observation
+        )
+        return (worlds, queue, sampler_states), observation, step.reward, step.finished
+
+
+def _xminigrid(job: Job) -> tuple[Running, int]:
+    _require("xminigrid")
+    import xminigrid
+
+    name = job.id.removesuffix("-v0").replace("Empty-Random-", "EmptyRandom-")
+    name = name.replace("UnlockPickup", "UnlockPickUp")
+    if name not in xminigrid.registered_environments():
+        raise Unsupported("xminigrid has no such world")
+    return _compile(XMiniGridWorld(name, horizon(job.id)), job)
+
+
+class XMiniGridWorld:
+    """XLand-MiniGrid's worlds with its own wrapper for turnover."""
+
+    def __init__(self, name: str, max_steps: int) -> None:
+        import xminigrid
+        from xminigrid.wrappers import GymAutoResetWrapper
+
+        from jaxact.spaces import Discrete
+
+        env, params = xminigrid.make(name)
+        self.env, self.params = GymAutoResetWrapper(env), params.replace(max_steps=max_steps)
+        self.action_space = Discrete(env.num_actions(params))
+
+    def begin(self, key: Any, lanes: int) -> tuple[PyTree, PyTree]:
+        """See `benchmarks.jax_loop.World`."""
+        import jax
+
+        reset_key, ages_key = jax.random.split(key)
+        reset = jax.vmap(self.env.reset, in_axes=(None, 0))
+        timestep = reset(self.params, jax.random.split(reset_key, lanes))
+        numbers = timestep.state.step_num
+        ages = jax.random.randint(ages_key, (lanes,), 0, self.params.max_steps, numbers.dtype)
+        timestep = timestep.replace(state=timestep.state.replace(step_num=ages))
+        return timestep, timestep.observation
+
+    def step(self, key: Any, state: PyTree, action: Any) -> tuple[PyTree, PyTree, Any, Any]:
+        """See `benchmarks.jax_loop.World`."""
+        import jax
+
+        del key
+        step = jax.vmap(self.env.step, in_axes=(None, 0, 0))
+        timestep = step(self.params, state, action)
+        return timestep, timestep.observation, timestep.reward, timestep.last()
+
+
+def _navix(job: Job) -> tuple[Running, int]:
+    _require("navix")
+    import navix
+
+    name = job.id.replace("MiniGrid-", "Navix-")
+    if name not in navix.registry():
+        raise Unsupported("navix has no such world")
+    return _compile(NavixWorld(name, horizon(job.id)), job)
+
+
+class NavixWorld:
+    """NAVIX's worlds; turnover is in its own `step`, which resets at the step after the end."""
+
+    def __init__(self, name: str, max_steps: int) -> None:
+        import navix
+
+        from jaxact.spaces import Discrete
+
+        view = navix.observations.symbolic_first_person
+        self.env = navix.make(name, max_steps=max_steps, observation_fn=view)
+        self.max_steps = max_steps
+        self.action_space = Discrete(len(self.env.action_set))
+
+    def begin(self, key: Any, lanes: int) -> tuple[PyTree, PyTree]:
+        """See `benchmarks.jax_loop.World`."""
+        import jax
+        import jax.numpy as jnp
+        from navix.rendering.cache import RenderingCache
+
+        reset_key, ages_key = jax.random.split(key)
+        # Symbolic views need no sprites: without this each lane would carry a picture of its grid.
+        no_sprites = RenderingCache(patches=jnp.zeros(1, jnp.uint8))
+        reset = jax.vmap(self.env.reset, in_axes=(0, None))
+        timestep = reset(jax.random.split(reset_key, lanes), no_sprites)
+        ages = jax.random.randint(ages_key, (lanes,), 0, self.max_steps, timestep.t.dtype)
+        timestep = timestep.replace(t=ages)
+        return timestep, timestep.observation
+
+    def step(self, key: Any, state: PyTree, action: Any) -> tuple[PyTree, PyTree, Any, Any]:
+        """See `benchmarks.jax_loop.World`."""
+        import jax
+
+        del key
+        timestep = jax.vmap(self.env.step)(state, action)
+        return timestep, timestep.observation, timestep.reward, timestep.step_type > 0
+
+
+class _Host:
+    """Loops over worlds that live outside of JAX: what they share."""
+
+    compile_seconds = 0.0
+
+    def __init__(self) -> None:
+        self.checksum, self.reward, self.finished = 0, 0.0, 0
+
+    def tallies(self) -> dict[str, float]:
+        """What the loop has seen so far."""
+        checksum = self.checksum % 2**32
+        return {"checksum": checksum, "reward": self.reward, "finished": self.finished}
+
+    def consume(self, observation: dict[str, Any], reward: Any, finished: Any) -> None:
+        """Adds up what was seen and earned."""
+        for value in observation.values():
+            if isinstance(value, str):
+                self.checksum += len(value)
+            elif np.ndim(value) == 0:
+                self.checksum += int(value)
+            else:
+                flat = np.ascontiguousarray(value).reshape(-1).view(np.uint8)
+                # Eight bytes at a time: NumPy sums wide words much faster than bytes.
+                words = flat[: flat.size // 8 * 8].view(np.uint64)
+                self.checksum += int(words.sum()) + int(flat[words.size * 8 :].sum())
+        self.reward += float(np.sum(reward))
+        self.finished += int(np.sum(finished))
+
+
+def _envpool(job: Job) -> tuple[Running, int]:
+    _require("envpool")
+    import envpool
+
+    if job.id not in envpool.list_all_envs():
+        raise Unsupported("envpool has no such world")
+    return EnvPoolLoop(job), job.lanes
+
+
+class EnvPoolLoop(_Host):
+    """EnvPool's C++ worlds, a thread for each core; all lanes step together."""
+
+    def __init__(self, job: Job) -> None:
+        import envpool
+
+        super().__init__()
+        self.lanes, self.steps = job.lanes, job.steps
+        limit = horizon(job.id)
+        self.env = envpool.make_gymnasium(
+            job.id,
+            num_envs=job.lanes,
+            num_threads=os.cpu_count() or 1,
+            seed=job.seed,
+            max_episode_steps=limit,
+        )
+        self.actions = int(self.env.action_space.n)
+        self.random = np.random.default_rng(job.seed)
+        self._start(limit)
+
+    def _start(self, limit: int) -> None:
+        self.env.reset()
+        # Sixteen groups begin one after the other, so that episodes are of different ages.
+        for group in np.array_split(np.arange(self.lanes, dtype=np.int32), 16):
+            for _ in range(limit // 16):
+                self.env.step(self._draw())
+            self.env.reset(group)
+
+    def _draw(self) -> np.ndarray:
+        return self.random.integers(0, self.actions, self.lanes, np.int32)
+
+    def run(self) -> float:
+        """Runs one repeat; returns the seconds it took."""
+        begun = time.perf_counter()
+        for _ in range(self.steps):
+            observation, reward, ended, cut, _ = self.env.step(self._draw())
+            self.consume(observation, reward, ended | cut)
+        return time.perf_counter() - begun
+
+
+def _minigrid(job: Job) -> tuple[Running, int]:
+    _require("minigrid")
+    lanes = min(job.lanes, PYTHON_LANES)
+    return MiniGridLoop(job, lanes), lanes
+
+
+class MiniGridLoop(_Host):
+    """MiniGrid itself: a plain loop over a few worlds in one process."""
+
+    def __init__(self, job: Job, lanes: int) -> None:
+        import gymnasium
+        import minigrid  # noqa: F401 (registers the ids)
+
+        super().__init__()
+        try:
+            make = gymnasium.make
+            self.envs = [make(job.id, disable_env_checker=True).unwrapped for _ in range(lanes)]
+        except gymnasium.error.Error as error:
+            raise Unsupported("minigrid has no such world") from error
+        self.random = np.random.default_rng(job.seed)
+        self.steps = job.steps
+        for lane, env in enumerate(self.envs):
+            env.reset(seed=job.seed + lane)
+            env.step_count = int(self.random.integers(env.max_steps))
+
+    def run(self) -> float:
+        """Runs one repeat; returns the seconds it took."""
+        begun = time.perf_counter()
+        for _ in range(self.steps):
+            actions = self.random.integers(0, 7, len(self.envs))
+            for env, action in zip(self.envs, actions, strict=True):
+                observation, reward, ended, cut, _ = env.step(int(action))
+                if ended or cut:
+                    observation, _ = env.reset()
+                self.consume(observation, reward, ended or cut)
+        return time.perf_counter() - begun
+
+
+FUSION_EMITTERS_OFF = "--xla_cpu_use_fusion_emitters=false"
+
+SYSTEMS = {
+    "jaxact": System(
+        build=_jaxact,
+        observation="image 7×7×3 with occlusion, direction, mission tokens",
+        turnover="next episode from the lane's queue, at the same step",
+        variants=("", FUSION_EMITTERS_OFF),
+        prng=PHILOX,
+    ),
+    "xminigrid": System(
+        build=_xminigrid,
+        observation="view 7×7×2 without occlusion",
+        turnover="GymAutoResetWrapper: at the same step; its cond under vmap resets at every step",
+        variants=("", FUSION_EMITTERS_OFF),
+        prng=PHILOX,
+        share=1 / 8,
+    ),
+    "navix": System(
+        build=_navix,
+        observation="symbolic_first_person 7×7×3 without occlusion",
+        turnover="its own: at the next step; its cond under vmap resets at every step",
+        # With fusion emitters it is several times slower and takes minutes.
+        variants=(FUSION_EMITTERS_OFF,),
+        prng=THREEFRY,
+        share=1 / 16,
+    ),
+    "envpool": System(
+        build=_envpool,
+        observation="image 7×7×3 with occlusion, direction, mission text",
+        turnover="its own: at the next step",
+        variants=("synchronous",),
+        share=1 / 8,
+    ),
+    "minigrid": System(
+        build=_minigrid,
+        observation="image 7×7×3 with occlusion, direction, mission text",
+        turnover="reset, at the same step; one process",
+        variants=("plain loop",),
+    ),
+}
+PEERS = tuple(name for name in SYSTEMS if name != "jaxact")
+
+
+def build(job: Job) -> tuple[Running, int]:
+    """Starts a system; returns it and how many lanes it runs.
+
+    Raises:
+      Unsupported: the peer is not installed, or lacks the id.
+    """
+    return SYSTEMS[job.system].build(job)

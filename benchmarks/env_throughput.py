@@ -1,0 +1,294 @@
+"""How fast worlds step, beside their peers: `python -m benchmarks.env_throughput --help`.
+
+Random actions, every observation consumed, episodes of different ages, fresh levels at turnover.
+Each system runs in a process of its own, compiled and warm before the first repeat; then the
+repeats go round the systems, so that whatever else the machine does falls on all alike. Prints
+lines of JSON: the machine, one line for each world and system, and ratios.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from dataclasses import asdict, dataclass
+from tempfile import TemporaryFile
+from typing import IO, Any, Self
+
+import tyro
+
+from benchmarks.env_systems import PEERS, SYSTEMS, Job
+from jaxact.errors import JaxactError, unknown
+
+DEFAULT_IDS = (
+    "MiniGrid-Empty-8x8-v0",
+    "MiniGrid-FourRooms-v0",
+    "MiniGrid-DoorKey-8x8-v0",
+    "BabyAI-GoToLocal-v0",
+)
+PROGRAM = "benchmarks.env_throughput"
+
+Line = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Times worlds under random actions, beside their peers, and prints lines of JSON."""
+
+    ids: tuple[str, ...] = DEFAULT_IDS
+    """Worlds, by Farama's ids."""
+    all: bool = False
+    """Every world there is, instead of --ids."""
+    lanes: tuple[int, ...] = (2048,)
+    """Worlds side by side; several numbers are measured one after the other."""
+    steps: int = 256
+    """Steps of every lane in one repeat (slow peers take a fraction of them; lines say it)."""
+    repeats: int = 5
+    """Repeats; the fastest and the median are reported."""
+    peers: tuple[str, ...] = ()
+    """Systems to measure beside jaxact: xminigrid, navix, envpool, minigrid."""
+    devices: int | None = None
+    """Devices that JAX systems shard their lanes over; on a CPU they are simulated (default: as
+    many as there are cores, or accelerators)."""
+    seed: int = 0
+    """Of everything random."""
+    variants: bool = True
+    """Try each system in all its variants (for JAX systems: XLA flags) and report the fastest;
+    without, the first one only."""
+
+
+class Worker:
+    """A process that measures one variant of one system."""
+
+    def __init__(self, job: Job, environment: dict[str, str]) -> None:
+        self.job, self.seconds = job, list[float]()
+        self.facts: Line = {}
+        self._errors: IO[str] = TemporaryFile("w+")  # noqa: SIM115 (closed in __exit__)
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "benchmarks.env_worker"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._errors,
+            text=True,
+            env={**os.environ, **environment},
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()
+        self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout, self._errors):
+            with suppress(BrokenPipeError):
+                if pipe is not None:
+                    pipe.close()
+
+    @property
+    def works(self) -> bool:
+        """Whether it can still be asked for repeats."""
+        return not {"unsupported", "error"} & self.facts.keys()
+
+    def start(self) -> None:
+        """Lets it compile and warm up; returns when it is ready."""
+        self._ask(json.dumps(asdict(self.job)))
+
+    def repeat(self) -> None:
+        """Runs one repeat."""
+        if self.works:
+            self._ask("repeat")
+            if self.works:
+                self.seconds.append(self.facts.pop("seconds"))
+
+    def finish(self) -> None:
+        """Ends the input and hears the last answer."""
+        if self.works and self._process.stdin:
+            self._process.stdin.close()
+            self._hear()
+
+    def _ask(self, line: str) -> None:
+        with suppress(BrokenPipeError):  # It has died then; reading finds out why.
+            print(line, file=self._process.stdin, flush=True)
+        self._hear()
+
+    def _hear(self) -> None:
+        answer = self._process.stdout.readline() if self._process.stdout else ""
+        self.facts |= json.loads(answer) if answer else {"error": self._last_words()}
+
+    def _last_words(self) -> str:
+        self._process.wait()
+        self._errors.seek(0)
+        lines = self._errors.read().strip().splitlines()
+        return lines[-1] if lines else f"the process ended with code {self._process.returncode}"
+
+
+def main() -> None:
+    """Runs the command line."""
+    arguments = tyro.cli(Arguments, prog=f"python -m {PROGRAM}")
+    try:
+        for line in measure(arguments):
+            print(json.dumps(line), flush=True)
+    except JaxactError as error:
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+def measure(arguments: Arguments) -> Iterator[Line]:
+    """Yields the machine's line, one line for each world, number of lanes and system, and ratios.
+
+    Raises:
+      JaxactError: an id, a peer or a number that cannot be.
+    """
+    ids = check(arguments)
+    machine = describe_machine(arguments)
+    yield machine
+    results: list[Line] = []
+    for lanes in arguments.lanes:
+        for name in ids:
+            lines = measure_world(arguments, machine, name, lanes)
+            yield from lines
+            results += ratios(lines)
+    yield from results
+
+
+def check(arguments: Arguments) -> list[str]:
+    """Returns the ids to measure.
+
+    Raises:
+      JaxactError: an id, a peer or a number that cannot be.
+    """
+    import envs_jax
+
+    for peer in arguments.peers:
+        if peer not in PEERS:
+            raise unknown("peer", peer, PEERS)
+    for name in arguments.ids:
+        envs_jax.make(name)
+    numbers = {"lanes": min(arguments.lanes, default=0), "steps": arguments.steps}
+    numbers |= {"repeats": arguments.repeats, "devices": arguments.devices or 1}
+    for name, number in numbers.items():
+        if number < 1:
+            raise JaxactError(f"--{name} must be at least 1; got {number}")
+    for lanes in arguments.lanes:
+        if lanes % (arguments.devices or 1):
+            raise JaxactError(f"{lanes} lanes cannot be divided among {arguments.devices} devices")
+    return envs_jax.ids() if arguments.all else list(arguments.ids)
+
+
+def describe_machine(arguments: Arguments) -> Line:
+    """Returns the line about the machine."""
+    job = Job("", "machine", 0, 0, 0, 1, "")
+    with Worker(job, {}) as worker:
+        worker.start()
+        settings = {"steps": arguments.steps, "repeats": arguments.repeats}
+        return worker.facts | settings
+
+
+def measure_world(arguments: Arguments, machine: Line, name: str, lanes: int) -> list[Line]:
+    """Returns one line for each system, measured in turns."""
+    with ExitStack() as stack:
+        systems = {
+            system: [
+                stack.enter_context(start_worker(arguments, machine, name, system, lanes, variant))
+                for variant in variants_of(arguments, machine, system)
+            ]
+            for system in ("jaxact", *arguments.peers)
+        }
+        workers = [worker for group in systems.values() for worker in group]
+        for worker in workers:
+            worker.start()
+        for _ in range(arguments.repeats):
+            for worker in workers:
+                worker.repeat()
+        for worker in workers:
+            worker.finish()
+        return [summarise(group) for group in systems.values()]
+
+
+def variants_of(arguments: Arguments, machine: Line, system: str) -> tuple[str, ...]:
+    """Returns the ways to run a system that are tried."""
+    variants = SYSTEMS[system].variants
+    user_chose = "xla_cpu_use_fusion_emitters" in machine.get("xla_flags", "")
+    if SYSTEMS[system].is_jax and (machine.get("platform") != "cpu" or user_chose):
+        return variants[:1]
+    return variants if arguments.variants else variants[:1]
+
+
+def start_worker(
+    arguments: Arguments, machine: Line, name: str, system: str, lanes: int, variant: str
+) -> Worker:
+    """Starts the process that measures one variant of one system."""
+    devices, environment = 1, {}
+    if SYSTEMS[system].is_jax:
+        on_cpu = machine.get("platform") == "cpu"
+        present = machine["cores"] if on_cpu else machine.get("devices", 1)
+        # Without a number from the user: as many as there are, if the lanes can be shared out.
+        devices = arguments.devices or (present if lanes % present == 0 else 1)
+        flags = f"{os.environ.get('XLA_FLAGS', '')} {variant}".strip()
+        environment = {"XLA_FLAGS": flags, "JAX_NUM_CPU_DEVICES": str(devices)}
+        if devices > 1:
+            # Shardy of jaxlib 0.10 cannot compile philox ("Unable to convert MHLO to StableHLO").
+            environment["JAX_USE_SHARDY_PARTITIONER"] = "false"
+    steps = max(1, round(arguments.steps * SYSTEMS[system].share))
+    job = Job(name, system, lanes, steps, arguments.seed, devices, variant)
+    return Worker(job, environment)
+
+
+def summarise(group: list[Worker]) -> Line:
+    """Returns the line of a system: that of its fastest variant."""
+    working = [worker for worker in group if worker.works and worker.seconds]
+    head = {"id": group[0].job.id, "system": group[0].job.system}
+    if not working:
+        return head | {"lanes": group[0].job.lanes} | group[0].facts
+    rates = {w.job.variant: _rate(w, min(w.seconds)) for w in working}
+    best = max(working, key=lambda worker: rates[worker.job.variant])
+    system, facts = SYSTEMS[best.job.system], best.facts
+    taken = len(best.seconds) * best.job.steps * facts["lanes"]
+    line = head | {
+        "lanes": facts["lanes"],
+        "steps_per_second": rates[best.job.variant],
+        "steps_per_second_median": _rate(best, statistics.median(best.seconds)),
+        "compile_seconds": round(facts["compile_seconds"], 2),
+        "peak_memory_mb": round(facts["peak_memory_mb"], 1),
+        "steps": best.job.steps,
+        "repeats": len(best.seconds),
+        "devices": best.job.devices,
+        "variant": best.job.variant or "default",
+        "prng": system.prng,
+        "episodes_per_step": round(facts["finished"] / taken, 6),
+        "checksum": facts["checksum"],
+        "observation": system.observation,
+        "turnover": system.turnover,
+    }
+    others = {name or "default": rate for name, rate in rates.items() if name != best.job.variant}
+    return line | ({"other_variants": others} if others else {})
+
+
+def _rate(worker: Worker, seconds: float) -> float:
+    return round(worker.facts["lanes"] * worker.job.steps / seconds, 1)
+
+
+def ratios(lines: list[Line]) -> list[Line]:
+    """Returns how many times faster than each peer jaxact is, of lines from one world's run."""
+    ours, *peers = lines
+    return [
+        {
+            "id": ours["id"],
+            "lanes": ours["lanes"],
+            "ratio_to": peer["system"],
+            "ratio": round(ours["steps_per_second"] / peer["steps_per_second"], 2),
+            "ratio_median": round(
+                ours["steps_per_second_median"] / peer["steps_per_second_median"], 2
+            ),
+        }
+        for peer in peers
+        if "steps_per_second" in ours and "steps_per_second" in peer
+    ]
+
+
+if __name__ == "__main__":
+    main()
