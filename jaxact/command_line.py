@@ -25,7 +25,9 @@ _XLA_FLAGS = "--xla_cpu_use_fusion_emitters=false"
 class TrainArguments(Options):
     """Trains an experiment, or goes on with a run."""
 
-    experiment: tyro.conf.Positional[str | None] = None
+    experiment: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="EXPERIMENT")] = (
+        None
+    )
     """A Python file that defines `experiment`, a dotted module name, or the name of a shipped
     example. With --resume it may be left out: the run's own copy is used."""
 
@@ -50,7 +52,7 @@ class TrainArguments(Options):
 class EvaluateArguments:
     """Evaluates a run's policy, or the expert of its task, on held-out episodes."""
 
-    run: tyro.conf.Positional[str]
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """A run's directory; or, with --expert, an experiment as jaxact.train takes it."""
     episodes: int = 1000
     """How many held-out episodes are played, each once."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import jax
 import numpy as np
 
 from jaxact.experiment import Experiment
-from jaxact.overrides import leaves
+from jaxact.overrides import leaves, to_json
 from jaxact.program import Program, choose_devices
 from jaxact.train_state import init_params, make_key
 
@@ -32,7 +33,7 @@ def describe(experiment: Experiment, devices: int | None = None) -> str:
         lines.append(f"  {part:12} {getattr(pomdp, part)}")
     lines += [f"  sensor       {n}: {_space(s)}" for n, s in pomdp.observation_space.spaces.items()]
     lines += [f"  actions      {pomdp.action_space}", "", "values (change with --set PATH=VALUE)"]
-    lines += [f"  {path} = {value!r}" for path, value in leaves(experiment).items()]
+    lines += [f"  {path} = {_text(value)}" for path, value in leaves(experiment).items()]
 
     lines += ["", "parameters"]
     for path, leaf in jax.tree_util.tree_leaves_with_path(state.params):
@@ -96,6 +97,12 @@ def update_flops(experiment: Experiment, stage_index: int) -> float:
     return forward * (1 + 3 * settings.epochs)
 
 
+def _text(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return repr(dict(value))
+    return str(to_json(value)) if callable(value) else repr(value)
+
+
 def _space(space: Any) -> str:
     leaf = space.structure
     return (
@@ -109,4 +116,4 @@ def _bytes(memory: Any) -> str:
     if memory is None:
         return "memory unknown to this backend"
     total = memory.argument_size_in_bytes + memory.temp_size_in_bytes
-    return f"{total / 2**20:,.1f} MiB"
+    return f"{total / 2**20:,.1f} MiB" if total >= 2**20 else f"{total / 2**10:,.1f} KiB"
