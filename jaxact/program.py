@@ -14,6 +14,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxact import train_state
 from jaxact.errors import JaxactError
 from jaxact.experiment import Experiment
+from jaxact.multiply_high import spell_out_multiply_high
 from jaxact.overrides import numbers as numbers_of
 from jaxact.overrides import with_numbers
 from jaxact.train_state import TrainState
@@ -130,6 +131,8 @@ class Program:
 
     def __post_init__(self) -> None:
         self.experiment.check(len(self.devices))
+        if len(self.devices) > 1:
+            spell_out_multiply_high()
 
     @property
     def mesh(self) -> Mesh:

@@ -1,0 +1,161 @@
+"""The batch belongs to the experiment: on any number of devices the same is learnt.
+
+Devices are simulated in processes of their own, since their number is fixed when JAX starts.
+"""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from tests.tiny import cache_environment
+
+SCRIPT = """
+    import json, sys
+    import jax
+    import numpy as np
+    from jaxact import JaxactError, Stage, train
+    from jaxact.checkpoints import Checkpoints
+    from jaxact.losses import PPO, Imitation
+    from jaxact.program import Program, choose_devices
+    from jaxact.train_state import make_key
+    from tests.tiny import experiment, raw
+
+    counts = json.loads(sys.argv[1])
+    stage = Stage({"ppo": PPO(), "imitation": Imitation()}, steps=256, teacher_forcing=0.5)
+    small = experiment(stages=(stage,), learning_rate=1e-2)
+    program = {n: Program(small, choose_devices(n)) for n in counts}
+    advance = {n: program[n].stage(0, 1) for n in counts}
+
+    def updates(n, state, count):
+        rows = []
+        for _ in range(count):
+            state, metrics = advance[n](state, program[n].numbers(), np.int32(1))
+            rows.append(jax.tree.map(lambda x: float(x[0]), metrics))
+        return state, rows
+
+    def host(tree):
+        return [np.asarray(raw(x)) for x in jax.tree.leaves(tree)]
+
+    def lanes(state):
+        return host((state.lanes.state, state.lanes.previous_action, state.lanes.key))
+
+    first, ends, rows = {}, {}, {}
+    for n in counts:
+        state = program[n].start(make_key(3))
+        one = state.lanes.is_first
+        assert len(one.sharding.device_set) == n
+        assert state.updates.sharding.is_fully_replicated
+        state, begun = updates(n, state, 1)
+        first[n] = lanes(state)
+        if n == max(counts):
+            Checkpoints("checkpoints").save(64, state, metadata={})
+        state, others = updates(n, state, 2)
+        ends[n], rows[n] = host(state.params), begun + others
+
+    least, most = min(counts), max(counts)
+    for n in counts:
+        for a, b in zip(first[n], first[least], strict=True):
+            np.testing.assert_array_equal(a, b)
+        for name in ("episodes/count", "episodes/length", "train/forced"):
+            assert rows[n][0][name] == rows[least][0][name], name
+        # Sums over devices are taken in another order: a rounding error of 1e-7 relative, grown
+        # by Adam's division by the gradients' size over twelve steps.
+        for a, b in zip(ends[n], ends[least], strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4)
+        for one, other in zip(rows[n], rows[least], strict=True):
+            for name in one:
+                np.testing.assert_allclose(one[name], other[name], rtol=1e-3, atol=1e-4)
+
+    like = program[least].like(make_key(3))
+    state = Checkpoints("checkpoints").restore(None, like).state
+    assert len(state.lanes.is_first.sharding.device_set) == least
+    state, _ = updates(least, state, 2)
+    for a, b in zip(host(state.params), ends[least], strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4)
+
+    try:
+        train(small, devices=5, progress=False)
+    except JaxactError as error:
+        assert "5 devices were asked for, but jax sees 4 (cpu)" in str(error), error
+    try:
+        Program(experiment(lanes=12, minibatches=4), choose_devices(4))
+    except JaxactError as error:
+        assert "12 lanes do not divide into 4 minibatches on 4 device(s)" in str(error), error
+        print("done")
+"""
+
+ROOT = Path(__file__).parents[2]
+
+
+def environment(devices):
+    names = {"JAX_NUM_CPU_DEVICES": str(devices), "PYTHONPATH": str(ROOT)}
+    return os.environ | cache_environment() | names
+
+
+def run(counts, directory):
+    return subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(SCRIPT), json.dumps(counts)],
+        env=environment(4),
+        cwd=directory,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("counts", [[1, 4], pytest.param([1, 2, 4], marks=pytest.mark.slow)])
+def test_any_number_of_devices_learns_the_same(counts, tmp_path):
+    """First the very same steps, then the same but for rounding; checkpoints move between them."""
+    ended = run(counts, tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.strip() == "done"
+
+
+PROCESS = """
+    import sys
+    import jax
+
+    jax.config.update("jax_cpu_collectives_implementation", "gloo")
+    jax.distributed.initialize(sys.argv[1], num_processes=2, process_id=int(sys.argv[2]))
+
+    import numpy as np
+    from jaxact import train
+    from tests.tiny import experiment
+
+    result = train(
+        experiment(), output="runs", log_every=128, evaluation_episodes=0, progress=False
+    )
+    assert len(jax.devices()) == 2 and len(jax.local_devices()) == 1
+    params = np.concatenate([np.asarray(x).ravel() for x in jax.tree.leaves(result.state.params)])
+    print("params", params.astype(np.float64).sum())
+"""
+
+
+@pytest.mark.slow
+def test_two_processes_learn_the_same(tmp_path):
+    with socket.socket() as free:
+        free.bind(("localhost", 0))
+        address = f"localhost:{free.getsockname()[1]}"
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-c", textwrap.dedent(PROCESS), address, str(index)],
+            env=environment(1),
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for index in range(2)
+    ]
+    ended = [process.communicate(timeout=600) for process in started]
+    for process, (_, errors) in zip(started, ended, strict=True):
+        assert process.returncode == 0, errors
+    sums = [printed.split()[-1] for printed, _ in ended]
+    assert sums[0] == sums[1]
+    assert len(list((tmp_path / "runs" / "corridor").iterdir())) == 1
