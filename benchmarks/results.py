@@ -1,0 +1,99 @@
+"""Turns finished runs into `docs/results/<experiment>.json` and one figure of their curves.
+
+Run `python -m benchmarks.results RUN [RUN ...]`: each run becomes a file with the command that
+makes it, the commit, the seed, versions, the training curve and the held-out evaluations with their
+intervals; `docs/results/<figure>.png` shows success against steps for all of them.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+RESULTS = Path(__file__).resolve().parent.parent / "docs" / "results"
+CURVE_POINTS = 60
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Writes results and a figure."""
+
+    runs: tyro.conf.Positional[tuple[Path, ...]]
+    """Directories of finished runs."""
+    commit: str
+    """The commit they were trained at."""
+    figure: str = "gotolocal"
+    """Name of the figure."""
+    output: Path = RESULTS
+    """Directory to write to."""
+
+
+def main() -> None:
+    """Parses the command line and writes the files."""
+    arguments = tyro.cli(Arguments)
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    results = [result_of(run, arguments.commit) for run in arguments.runs]
+    for result in results:
+        path = arguments.output / f"{result['name']}.json"
+        path.write_text(json.dumps(result, indent=1) + "\n")
+        print(path)
+    _draw(results, arguments.output / f"{arguments.figure}.png")
+
+
+def result_of(run: Path, commit: str) -> dict[str, Any]:
+    """Describes a finished run."""
+    from jaxact.logs import read_metrics
+    from jaxact.runs import read_config
+
+    config = read_config(run)
+    rows = [row for row in read_metrics(run) if "train/success" in row]
+    stride = max(1, len(rows) // CURVE_POINTS)
+    shown = ("train/success", "train/return", "train/length")
+    evaluations = [json.loads(p.read_text()) for p in sorted((run / "evaluation").glob("*.json"))]
+    overrides = "".join(f" --set {text}" for text in config["overrides"])
+    return {
+        "name": config["experiment"]["name"],
+        "command": f"python -m jaxact.train {Path(config['source']).stem} "
+        f"--seed {config['seed']}{overrides}",
+        "commit": commit,
+        "seeds": [config["seed"]],
+        "versions": json.loads((run / "versions.json").read_text()),
+        "curve": {
+            "step": [row["step"] for row in rows[::stride]],
+            **{n: [round(row[n], 5) for row in rows[::stride]] for n in shown},
+        },
+        "evaluations": evaluations,
+        "final": evaluations[-1],
+    }
+
+
+def _draw(results: list[dict[str, Any]], path: Path) -> None:
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
+    for result in results:
+        steps = [x["step"] / 1e6 for x in result["evaluations"]]
+        success = [x["success"]["mean"] for x in result["evaluations"]]
+        low, high = zip(*(x["success"]["interval"] for x in result["evaluations"]), strict=True)
+        curve = result["curve"]
+        (line,) = axes.plot(
+            [x / 1e6 for x in curve["step"]], curve["train/success"], alpha=0.35, linewidth=1
+        )
+        axes.plot(steps, success, "o-", color=line.get_color(), label=result["name"], markersize=4)
+        axes.fill_between(steps, low, high, color=line.get_color(), alpha=0.15)
+    axes.axhline(0.99, color="grey", linewidth=0.8, linestyle=":")
+    axes.set(xlabel="environment steps (millions)", ylabel="success", ylim=(0, 1.02))
+    axes.set_title("Dots: 1,000 held-out episodes with 95 % intervals; thin: during training")
+    axes.legend(loc="lower right")
+    figure.savefig(path, dpi=130)
+
+
+if __name__ == "__main__":
+    main()
