@@ -103,8 +103,8 @@ def _check_batch(pomdp: POMDP, key: jax.Array, lanes: int, steps: int) -> None:
         observation = result.observation
         assert bool(jnp.all(inside(observation))), f"a reading leaves its space after {t + 1} steps"
         total = sum(result.reward_terms.values(), start=jnp.zeros(lanes, jnp.float32))
-        assert bool(jnp.allclose(result.reward, total)), "the reward is not the sum of its terms"
         assert bool(jnp.all(jnp.isfinite(result.reward))), "a reward is not finite"
+        assert bool(jnp.allclose(result.reward, total)), "the reward is not the sum of its terms"
         assert bool(jnp.all(result.truncated == (last.steps + 1 >= last.horizon))), (
             "truncated is not steps >= horizon"
         )

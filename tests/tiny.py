@@ -7,6 +7,7 @@ for as long as the tests run, and experiments differ in numbers rather than in s
 from __future__ import annotations
 
 import atexit
+import dataclasses
 import shutil
 import tempfile
 from typing import Any
@@ -18,12 +19,21 @@ import numpy as np
 from jaxact import Experiment, Stage, TrainingPipeline
 from jaxact.losses import PPO, Imitation
 from jaxact.models import GRU, ActorCritic, Concatenated, Vector
-from jaxact.pomdp import POMDP
+from jaxact.pomdp import POMDP, Task
 from jaxact.schedules import Linear
-from tests.corridor import corridor
+from tests.corridor import ReachEnd, corridor
 
 # Environment steps of one update of `experiment()`.
 UPDATE = 64
+
+
+@dataclasses.dataclass(frozen=True)
+class Undemonstrated(Task):
+    """The corridor's task without its expert."""
+
+    step_penalty: float = -0.01
+
+    step = ReachEnd.step
 
 
 def use_compilation_cache() -> None:

@@ -1,0 +1,43 @@
+"""Every shipped experiment loads, can work, and trains for an update."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from jaxact import train
+from jaxact.loading import load_experiment, shipped_examples
+
+NAMES = shipped_examples()
+QUICK = "babyai_gotolocal_ppo"
+
+
+def shrunk(experiment):
+    """The same with one update of a few steps in each stage."""
+    pipeline = experiment.pipeline
+    stages = tuple(
+        dataclasses.replace(
+            stage, steps=1, overrides={**stage.overrides, "rollout_length": 2, "epochs": 1}
+        )
+        for stage in pipeline.stages
+    )
+    pipeline = dataclasses.replace(pipeline, stages=stages, lanes=4, minibatches=2)
+    return dataclasses.replace(experiment, pipeline=pipeline)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_examples_can_work(name):
+    experiment, _ = load_experiment(name)
+    experiment.check()
+    assert experiment.name == name
+
+
+@pytest.mark.parametrize(
+    "name", [x if x == QUICK else pytest.param(x, marks=pytest.mark.slow) for x in NAMES]
+)
+def test_examples_train(name):
+    experiment = shrunk(load_experiment(name)[0])
+    result = train(experiment, evaluation_episodes=0, progress=False)
+    assert result.metrics["stage"].tolist() == list(range(len(experiment.pipeline.stages)))
+    assert np.isfinite(result.metrics["losses/total"]).all()
+    assert (result.metrics["train/gradient_norm"] > 0).all()

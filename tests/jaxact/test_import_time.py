@@ -1,0 +1,33 @@
+"""`import jaxact` stays quick and leaves the heavy libraries alone."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+HEAVY = ("orbax", "tensorboardX", "brax", "mujoco", "optax", "matplotlib", "imageio")
+PRINT = """
+import sys, time, jaxact
+dir(jaxact)
+print(time.process_time(), *sys.modules)
+"""
+SECONDS = 2.5
+
+
+def start():
+    """Returns the processor's time, whatever else the machine does, and the loaded modules."""
+    ended = subprocess.run(
+        [sys.executable, "-c", PRINT],
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    seconds, *modules = ended.stdout.split()
+    return float(seconds), set(modules)
+
+
+def test_import_is_quick_and_light():
+    starts = [start() for _ in range(3)]
+    assert starts[0][1].isdisjoint(HEAVY)
+    assert min(seconds for seconds, _ in starts) < SECONDS

@@ -1,0 +1,64 @@
+"""Films: one frame a step, from the first state to the last action."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxact import JaxactError, Policy
+from jaxact.recording import record_episode, side_by_side
+from tests.corridor import CellAndGoal, corridor
+from tests.jaxact.test_evaluation import Drift
+
+
+@dataclasses.dataclass(frozen=True)
+class Shown(CellAndGoal):
+    """Its picture has the brightness of the cell."""
+
+    def picture(self, state, task_state):
+        del task_state
+        return jnp.full((20, 30, 3), 40 * state + 10, jnp.int32).astype(jnp.uint8)
+
+
+POMDP = dataclasses.replace(corridor(), sensors={"vector": Shown()})
+
+
+def policy(logit):
+    return Policy(Drift(), jnp.float32(logit), POMDP.action_space)
+
+
+def test_every_step_is_one_frame():
+    right = policy(50.0)
+    lengths = set()
+    for seed in range(6):
+        frames = record_episode(POMDP, right, seed=seed, greedy=True)
+        assert frames.dtype == np.uint8
+        assert frames.ndim == 4
+        assert frames.shape[-1] == 3
+        lengths.add(len(frames))
+        # It goes right: 40 levels brighter at each step, till the wall.
+        brightness = frames[:, 3, 3, 0].astype(int)
+        assert set(np.diff(brightness)) <= {40, 0}
+    assert lengths <= {1, 2, 3, 4, 10}
+    assert len(lengths) > 1
+
+
+def test_films_end_in_time():
+    frames = record_episode(POMDP, policy(0.0), seed=0, max_steps=1)
+    assert len(frames) == 1
+
+
+def test_worlds_without_pictures_cannot_be_filmed():
+    with pytest.raises(JaxactError, match="no sensor has a method picture"):
+        record_episode(corridor(), policy(0.0))
+
+
+def test_pictures_stand_side_by_side():
+    one, other = np.full((4, 3, 3), 7, np.uint8), np.full((10, 5, 3), 9, np.uint8)
+    joined = side_by_side([one, other])
+    assert joined.shape == (10, 3 + 8 + 5, 3)
+    assert (joined[3:7, :3] == 7).all()
+    assert (joined[:3, :3] == 0).all()
+    assert (joined[:, 3:11] == 0).all()
+    assert (joined[:, 11:] == 9).all()
