@@ -391,7 +391,7 @@ SYSTEMS = {
         turnover="GymAutoResetWrapper: at the same step; its cond under vmap resets at every step",
         variants=("", FUSION_EMITTERS_OFF),
         prng=PHILOX,
-        share=1 / 8,
+        share=1 / 32,
     ),
     "navix": System(
         build=_navix,
@@ -400,20 +400,21 @@ SYSTEMS = {
         # With fusion emitters it is several times slower and takes minutes.
         variants=(FUSION_EMITTERS_OFF,),
         prng=THREEFRY,
-        share=1 / 16,
+        share=1 / 64,
     ),
     "envpool": System(
         build=_envpool,
         observation="image 7×7×3 with occlusion, direction, mission text",
         turnover="its own: at the next step",
         variants=("synchronous",),
-        share=1 / 8,
+        share=1 / 32,
     ),
     "minigrid": System(
         build=_minigrid,
         observation="image 7×7×3 with occlusion, direction, mission text",
         turnover="reset, at the same step; one process",
         variants=("plain loop",),
+        share=1 / 4,
     ),
 }
 PEERS = tuple(name for name in SYSTEMS if name != "jaxact")

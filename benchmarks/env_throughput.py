@@ -45,8 +45,9 @@ class Arguments:
     """Every world there is, instead of --ids."""
     lanes: tuple[int, ...] = (2048,)
     """Worlds side by side; several numbers are measured one after the other."""
-    steps: int = 256
-    """Steps of every lane in one repeat (slow peers take a fraction of them; lines say it)."""
+    steps: int = 1024
+    """Steps of every lane in one repeat, enough for episode queues to be refilled in each (slow
+    peers take a fraction of them; lines say it)."""
     repeats: int = 5
     """Repeats; the fastest and the median are reported."""
     peers: tuple[str, ...] = ()
@@ -252,6 +253,7 @@ def summarise(group: list[Worker]) -> Line:
         "lanes": facts["lanes"],
         "steps_per_second": rates[best.job.variant],
         "steps_per_second_median": _rate(best, statistics.median(best.seconds)),
+        "steps_per_second_mean": _rate(best, statistics.mean(best.seconds)),
         "compile_seconds": round(facts["compile_seconds"], 2),
         "peak_memory_mb": round(facts["peak_memory_mb"], 1),
         "steps": best.job.steps,

@@ -25,7 +25,7 @@ def test_prints_the_machine_and_a_line_for_each_world():
     assert (line["id"], line["system"]) == ("MiniGrid-Empty-5x5-v0", "jaxact")
     assert (line["lanes"], line["steps"], line["repeats"], line["devices"]) == (8, 4, 2, 1)
     assert line["steps_per_second"] >= line["steps_per_second_median"] > 0
-    for name in ("compile_seconds", "peak_memory_mb", "checksum"):
+    for name in ("compile_seconds", "peak_memory_mb", "checksum", "steps_per_second_mean"):
         assert line[name] > 0
     assert line["prng"] == "philox2x32"
 
