@@ -112,7 +112,7 @@ SCRIPT = """
     def after(self, state, before, rows):
         if seconds == 0 and self._steps(state) == 384:
             os.kill(os.getpid(), number)
-        if seconds > 0 and before == 0:
+        if seconds > 0 and before == 128:
             threading.Timer(seconds, os.kill, (os.getpid(), number)).start()
         after_chunk(self, state, before, rows)
 
@@ -162,9 +162,9 @@ def test_the_exit_code_names_the_signal(start, number, code, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("attempt", range(3))
 def test_a_run_killed_at_any_moment_goes_on(start, attempt, tmp_path):
-    """Checkpoints are written all the time, so the kill may well fall into one."""
+    """The kill comes after the first checkpoint, most often in the midst of another."""
     file, runs = str(tmp_path / "small.py"), tmp_path / "runs"
-    seconds = random.Random(attempt).uniform(0.01, 1.0)
+    seconds = random.Random(attempt).uniform(0.001, 0.5)
     options = ("--checkpoint-every", "64")
     killed = start(signal.SIGKILL, seconds, file, "--output", str(runs), *options)
     assert killed.returncode in (-signal.SIGKILL, 0), killed.stderr
