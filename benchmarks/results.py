@@ -54,11 +54,15 @@ def result_of(run: Path, commit: str) -> dict[str, Any]:
     stride = max(1, len(rows) // CURVE_POINTS)
     shown = ("train/success", "train/return", "train/length")
     evaluations = [json.loads(p.read_text()) for p in sorted((run / "evaluation").glob("*.json"))]
-    overrides = "".join(f" --set {text}" for text in config["overrides"])
+    options = "".join(f" --set {text}" for text in config["overrides"])
+    trained = int(rows[-1]["step"])
+    if trained < sum(stage["steps"] for stage in config["experiment"]["pipeline"]["stages"]):
+        options += f" --total-steps {trained}"
     return {
         "name": config["experiment"]["name"],
         "command": f"python -m jaxact.train {Path(config['source']).stem} "
-        f"--seed {config['seed']}{overrides}",
+        f"--seed {config['seed']}{options}",
+        "trained_steps": trained,
         "commit": commit,
         "seeds": [config["seed"]],
         "versions": json.loads((run / "versions.json").read_text()),

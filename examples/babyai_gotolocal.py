@@ -25,8 +25,8 @@ experiment = Experiment(
             ),
             Stage(
                 losses={"ppo": PPO(clip=0.2)},
-                steps=2_000_000,
-                overrides={"learning_rate": Linear(1e-3, 2e-4, steps=2e6)},
+                steps=1_400_000,
+                overrides={"learning_rate": Linear(1e-3, 1e-4, steps=1.4e6)},
             ),
         ),
         lanes=512,
