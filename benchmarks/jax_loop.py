@@ -49,7 +49,7 @@ class Carry:
       key: PRNG keys.
       state: of the lanes.
       observation: what a policy would look at next.
-      checksum: uint32, sum of all that was seen.
+      checksum: uint32, of all that was seen.
       reward: float32, sum of rewards.
       finished: int32, how many episodes ended.
     """
@@ -151,14 +151,15 @@ def draw_actions(space: Space, key: jax.Array, lanes: int) -> PyTree:
 
 
 def checksum(observation: PyTree) -> jax.Array:
-    """Returns the uint32 sum of every element of every leaf (of floats: of their bits)."""
+    """Returns a uint32 that depends on every element of every leaf (of floats: on their bits)."""
 
     def total(leaf: jax.Array) -> jax.Array:
         if jnp.issubdtype(leaf.dtype, jnp.floating):
             leaf = jax.lax.bitcast_convert_type(leaf.astype(jnp.float32), jnp.uint32)
-        # Lanes first: sums of whole rows are what compilers vectorise.
-        rows = jnp.sum(leaf.reshape(leaf.shape[0], -1), axis=0, dtype=jnp.uint32)
-        return jnp.sum(rows, dtype=jnp.uint32)
+        if leaf.dtype == jnp.bool_:
+            leaf = leaf.astype(jnp.uint8)
+        # Over lanes, and in the leaf's own type, wrapping round: the cheapest way to read it all.
+        rows = jnp.sum(leaf.reshape(leaf.shape[0], -1), axis=0, dtype=leaf.dtype)
+        return jnp.sum(rows.astype(jnp.uint32), dtype=jnp.uint32)
 
-    leaves = jax.tree.leaves(observation)
-    return sum((total(leaf) for leaf in leaves), start=jnp.uint32(0))
+    return sum((total(leaf) for leaf in jax.tree.leaves(observation)), start=jnp.uint32(0))
