@@ -28,7 +28,7 @@ def compose(
     """Composes a grid world with MiniGrid's three observations: image, direction and mission.
 
     Raises:
-      JaxactError: `view_size` is not odd, or not in 3 … 7.
+      JaxactError: `view_size` is not odd, or not in 3 … 31.
     """
     sensors = {
         "image": ImageSensor(width, height, view_size, see_through_walls),

@@ -38,14 +38,20 @@ def heading(direction: jax.Array) -> jax.Array:
     return axes * (1 - (direction & 2))
 
 
-def cell_index(position: jax.Array, height: int) -> jax.Array:
-    """Returns the int32 index of cell `position` (int32[2]) in a flat padded plane."""
-    return (position[0] + PADDING) * (height + 2 * PADDING) + position[1] + PADDING
-
-
 def front_index(state: GridState, height: int) -> jax.Array:
-    """Returns the int32 index, in a flat padded plane, of the cell that the agent faces."""
-    return cell_index(state.position + heading(state.direction), height)
+    """Returns the int32 index, in a plane laid out flat, of the cell that the agent faces."""
+    x, y = state.position + heading(state.direction) + PADDING
+    return x * (height + 2 * PADDING) + y
+
+
+def at_index(plane: jax.Array, index: jax.Array) -> jax.Array:
+    """Reads a cell of a plane, by its index in the plane laid out flat."""
+    return plane.reshape(-1)[index]
+
+
+def with_index(plane: jax.Array, index: jax.Array, value: jax.Array) -> jax.Array:
+    """Returns the plane with another value in one cell, by its index in the plane laid out flat."""
+    return plane.reshape(-1).at[index].set(value).reshape(plane.shape)
 
 
 @dataclass(frozen=True)
@@ -75,7 +81,7 @@ class GridWorld(Environment):
         del key
         action = jnp.asarray(action, jnp.int32)
         front = front_index(state, self.height)
-        tile, mark = state.tiles[front], state.marks[front]
+        tile, mark = at_index(state.tiles, front), at_index(state.marks, front)
         empty_handed = state.carrying == 0
 
         moves = (action == FORWARD) & is_kind(tile, PASSABLE)
@@ -94,8 +100,8 @@ class GridWorld(Environment):
         turn = (action == RIGHT).astype(jnp.int32) - (action == LEFT).astype(jnp.int32)
         return replace(
             state,
-            tiles=state.tiles.at[front].set(new_tile),
-            marks=state.marks.at[front].set(new_mark),
+            tiles=with_index(state.tiles, front, new_tile),
+            marks=with_index(state.marks, front, new_mark),
             position=state.position + moves.astype(jnp.int32) * heading(state.direction),
             direction=(state.direction + turn) & 3,
             carrying=jnp.where(picks, tile, held),

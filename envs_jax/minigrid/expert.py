@@ -24,6 +24,7 @@ from envs_jax.minigrid.environment import (
     PORTABLE,
     RIGHT,
     TOGGLE,
+    at_index,
     front_index,
     is_kind,
 )
@@ -77,7 +78,7 @@ def goal_expert(
       An int32 action of `GridWorld`. It is not valid where there is no such plan.
     """
     del key, task_state
-    cells = _cells(state.tiles, width, height)
+    cells = _cells(state.tiles)
     goals = planner.facing(planner.pack(cells & tiles.TYPE_MASK == tiles.GOAL))
     terrain, layer = _layers(_survey(cells, state.carrying, spare_keys=True), state.carrying)
     plan = planner.plan(terrain, goals, state.position, state.direction, layer)
@@ -110,8 +111,8 @@ def goto_expert(
       An int32 action of `GridWorld`. It is not valid where no object can be reached.
     """
     del key
-    cells = _cells(state.tiles, width, height)
-    tracked = planner.pack(_cells(state.marks, width, height) & jnp.uint16(1) != 0)
+    cells = _cells(state.tiles)
+    tracked = planner.pack(_cells(state.marks) & jnp.uint16(1) != 0)
     goals = planner.facing(tracked ^ task_state.ghosts[0].astype(tracked.dtype))
     survey = _survey(cells, state.carrying, spare_keys=False)
     terrain, layer = _layers(survey, state.carrying)
@@ -133,10 +134,9 @@ def goto_expert(
     return ExpertAction(action, plan.reached | detour.reached | holds_target)
 
 
-def _cells(plane: jax.Array, width: int, height: int) -> jax.Array:
-    """Cuts the grid [W, H] out of a flat padded plane."""
-    square = plane.reshape(width + 2 * PADDING, height + 2 * PADDING)
-    return square[PADDING:-PADDING, PADDING:-PADDING]
+def _cells(plane: jax.Array) -> jax.Array:
+    """Cuts the grid [W, H] out of a padded plane."""
+    return plane[PADDING:-PADDING, PADDING:-PADDING]
 
 
 def _survey(cells: jax.Array, carrying: jax.Array, spare_keys: bool) -> _Map:
@@ -195,7 +195,7 @@ def _has_key(survey: _Map, carrying: jax.Array) -> jax.Array:
 
 def _name(plan: Plan, state: GridState, height: int, arrival: int) -> jax.Array:
     """Turns a plan's action into the environment's; `arrival` is what to do at a goal pose."""
-    ahead = state.tiles[front_index(state, height)]
+    ahead = at_index(state.tiles, front_index(state, height))
     act = jnp.where(is_kind(ahead, PORTABLE), PICKUP, TOGGLE)
     choices = jnp.stack([jnp.full_like(act, value) for value in (LEFT, RIGHT, FORWARD)])
     choices = jnp.concatenate([choices, act[None], jnp.full_like(act, arrival)[None]])
@@ -209,6 +209,6 @@ def _empty_hands(detour: Plan, state: GridState, height: int) -> jax.Array:
     needed: a dropped object is off the way, so that the next plan need not take it up again.
     """
     walks = detour.reached & (detour.action == planner.FORWARD)
-    is_free = state.tiles[front_index(state, height)] & tiles.TYPE_MASK == tiles.EMPTY
+    is_free = at_index(state.tiles, front_index(state, height)) & tiles.TYPE_MASK == tiles.EMPTY
     action = jnp.where(walks, FORWARD, jnp.where(is_free, DROP, RIGHT))
     return action.astype(jnp.int32)

@@ -157,8 +157,8 @@ def _import_grid(env: Any, description: Any) -> GridState:
         marks[x, y] = _mark(env, thing, description)
     held = env.carrying
     return GridState(
-        tiles=jnp.asarray(np.pad(plane, PADDING, constant_values=tiles.WALL_TILE).reshape(-1)),
-        marks=jnp.asarray(np.pad(marks, PADDING).reshape(-1)),
+        tiles=jnp.asarray(np.pad(plane, PADDING, constant_values=tiles.WALL_TILE)),
+        marks=jnp.asarray(np.pad(marks, PADDING)),
         position=jnp.asarray(np.asarray(env.agent_pos, np.int32)),
         direction=jnp.int32(env.agent_dir),
         carrying=jnp.uint8(0 if held is None else _tile(env, held)),

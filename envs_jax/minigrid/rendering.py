@@ -38,7 +38,7 @@ def render(
       tile_size: pixels of a cell's edge.
       highlight: whether what the agent sees is drawn lighter.
       see_through_walls: whether the agent does.
-      view_size: edge of the agent's view in cells, odd, from 3 to 7.
+      view_size: edge of the agent's view in cells, odd, from 3 to 31.
 
     Returns:
       uint8[height · tile_size, width · tile_size, 3], RGB; equal to `MiniGridEnv.get_full_render`
@@ -47,17 +47,17 @@ def render(
     Raises:
       JaxactError: the view size is none of these.
     """
-    plane = state.tiles.reshape(width + 2 * PADDING, height + 2 * PADDING)
-    agent = jnp.zeros(plane.shape, jnp.int32)
-    x, y = state.position[0] + PADDING, state.position[1] + PADDING
-    agent = agent.at[x, y].set(state.direction.astype(jnp.int32) + 1)
+    plane = state.tiles[PADDING:-PADDING, PADDING:-PADDING]
+    x, y = state.position
+    agent = jnp.zeros(plane.shape, jnp.int32).at[x, y].set(state.direction.astype(jnp.int32) + 1)
     seen = jnp.zeros(plane.shape, bool)
     if highlight:
         sensor = PackedImageSensor(width, height, view_size, see_through_walls)
         visible = sensor.observe(state, None) != tiles.UNSEEN
-        seen = seen.at[_looked_at(state, view_size)].set(visible)
-    grid = (slice(PADDING, -PADDING),) * 2
-    return _compose(plane[grid], agent[grid], seen[grid], tile_size)
+        around = view_size - 1
+        seen = jnp.pad(seen, around).at[_looked_at(state, view_size)].set(visible)
+        seen = seen[around:-around, around:-around]
+    return _compose(plane, agent, seen, tile_size)
 
 
 def render_egocentric(view: jax.Array, tile_size: int = TILE_SIZE) -> jax.Array:
@@ -78,13 +78,16 @@ def render_egocentric(view: jax.Array, tile_size: int = TILE_SIZE) -> jax.Array:
 
 
 def _looked_at(state: GridState, view_size: int) -> tuple[jax.Array, jax.Array]:
-    """Returns the padded coordinates, int32[V, V] each, of the view's cells [vx, vy]."""
+    """Returns the coordinates, int32[V, V] each, of the view's cells [vx, vy].
+
+    They count from V − 1 cells beyond the grid's corner, so that none is negative.
+    """
     forward = heading(state.direction)
     right = jnp.stack([-forward[1], forward[0]])
     steps = jnp.arange(view_size, dtype=jnp.int32)
     aside, ahead = (steps - view_size // 2)[:, None], (view_size - 1 - steps)[None, :]
     x, y = (
-        state.position[axis] + PADDING + ahead * forward[axis] + aside * right[axis]
+        state.position[axis] + view_size - 1 + ahead * forward[axis] + aside * right[axis]
         for axis in range(2)
     )
     return x, y

@@ -13,13 +13,15 @@ import jax
 import jax.numpy as jnp
 
 from envs_jax.minigrid import missions, tiles
-from envs_jax.minigrid.environment import cell_index, heading, is_kind
+from envs_jax.minigrid.environment import heading, is_kind
 from envs_jax.minigrid.state import PADDING, GridState
 from jaxact.errors import JaxactError
 from jaxact.pomdp import PyTree, Sensor
 from jaxact.spaces import Box, Discrete
 
 VIEW_SIZE = 7
+# A row of the view is held in the bits of an int32.
+MAX_VIEW_SIZE = 31
 
 _OPAQUE = 1 << tiles.WALL | 1 << tiles.CLOSED_DOOR | 1 << tiles.LOCKED_DOOR
 
@@ -29,7 +31,7 @@ class PackedImageSensor(Sensor):
     """The agent's view as packed tiles, uint8[view_size, view_size], indexed [vx, vy].
 
     `tiles.decode` turns it into MiniGrid's image. What is carried shows in the agent's own cell;
-    cells out of sight are 0. `view_size` is odd, from 3 to 7.
+    cells out of sight are 0. `view_size` is odd, from 3 to 31.
 
     Source: `MiniGridEnv.gen_obs_grid` and `Grid.process_vis` of minigrid 3.2.0.
     """
@@ -40,9 +42,9 @@ class PackedImageSensor(Sensor):
     see_through_walls: bool = False
 
     def __post_init__(self) -> None:
-        if self.view_size not in range(3, PADDING + 2, 2):
+        if self.view_size not in range(3, MAX_VIEW_SIZE + 1, 2):
             raise JaxactError(
-                f"view_size must be odd, from 3 to {PADDING + 1}; got {self.view_size!r}"
+                f"view_size must be odd, from 3 to {MAX_VIEW_SIZE}; got {self.view_size!r}"
             )
 
     @property
@@ -55,40 +57,39 @@ class PackedImageSensor(Sensor):
         del task_state
         size = self.view_size
         hand = jnp.where(state.carrying == 0, jnp.uint8(tiles.EMPTY_TILE), state.carrying)
+        ahead = self._rows_ahead(state)
         if self.see_through_walls:
-            return self._ahead(state, jnp.arange(size, dtype=jnp.int32)[:, None], hand)[1].T
+            return ahead.at[size - 1, size // 2].set(hand).T
         bits = 1 << jnp.arange(size, dtype=jnp.int32)
 
-        def look(lit: jax.Array, vy: jax.Array) -> tuple[jax.Array, jax.Array]:
-            cells, shown = self._ahead(state, vy, hand)
+        def look(lit: jax.Array, row: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            cells, vy = row
             clear = jnp.sum(jnp.where(is_kind(cells, _OPAQUE), 0, bits), dtype=jnp.int32)
             lit_beyond = _spread(lit, clear, size)
             seen = (lit | lit_beyond) & bits != 0
+            own = (vy == size - 1) & (bits == 1 << size // 2)
+            shown = jnp.where(own, hand, cells)
             return lit_beyond, jnp.where(seen, shown, jnp.uint8(tiles.UNSEEN))
 
         # The rows are walked by a scan, away from the agent: written out as elementwise code, XLA's
         # CPU backend would compute the near rows again for every cell of the far ones.
         start = jnp.int32(1 << size // 2)
-        _, rows = jax.lax.scan(look, start, jnp.arange(size, dtype=jnp.int32), reverse=True)
-        return rows.T
+        rows = (ahead, jnp.arange(size, dtype=jnp.int32))
+        return jax.lax.scan(look, start, rows, reverse=True)[1].T
 
-    def _ahead(
-        self, state: GridState, vy: jax.Array, hand: jax.Array
-    ) -> tuple[jax.Array, jax.Array]:
-        """Returns view row `vy` uint8[view_size], as the world has it and as the agent is shown it.
+    def _rows_ahead(self, state: GridState) -> jax.Array:
+        """Returns the cells in view, light or dark, as uint8[vy, vx].
 
-        With `vy` int32[rows, 1] the rows come stacked.
+        A square is cut out of the plane in one piece and turned: a look-up cell by cell would cost
+        several times as much.
         """
-        stride = self.height + 2 * PADDING
-        forward = heading(state.direction)
-        vx = jnp.arange(self.view_size, dtype=jnp.int32)
-        ahead, aside = self.view_size - 1 - vy, vx - self.view_size // 2
-        # To the right of heading (x, y) lies (-y, x).
-        cell = cell_index(state.position, self.height)
-        cell = cell + ahead * (forward[0] * stride + forward[1])
-        cell = cell + aside * (forward[0] - forward[1] * stride)
-        cells = state.tiles.at[cell].get(mode="promise_in_bounds")
-        return cells, jnp.where((ahead == 0) & (aside == 0), hand, cells)
+        size = self.view_size
+        around = max(PADDING, size - 1)
+        plane = jnp.pad(state.tiles, around - PADDING, constant_values=tiles.WALL_TILE)
+        corner = state.position + (heading(state.direction) - 1) * (size // 2)
+        square = jax.lax.dynamic_slice(plane, corner + around, (size, size))
+        turned = (square[::-1], square[::-1, ::-1].T, square[:, ::-1], square.T)
+        return jax.lax.select_n(state.direction, *turned)
 
 
 @dataclass(frozen=True)

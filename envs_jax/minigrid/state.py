@@ -22,11 +22,11 @@ CONTENTS_SHIFT = 8
 class GridState:
     """A grid world, as it stands.
 
-    The plane of a W × H grid is stored flat and x-major with `PADDING` cells of wall on each side:
-    cell (x, y) is element (x + PADDING) · (H + 2 · PADDING) + (y + PADDING).
+    The planes of a W × H grid are stored with `PADDING` cells of wall on each side: cell (x, y) is
+    element [x + PADDING, y + PADDING].
 
     Attributes:
-      tiles: uint8[(W + 2 · PADDING) · (H + 2 · PADDING)], packed tiles (see `tiles`).
+      tiles: uint8[W + 2 · PADDING, H + 2 · PADDING], packed tiles (see `tiles`).
       marks: uint16, same shape; identities and contents that no tile code can show.
       position: int32[2], the agent's (x, y), without padding.
       direction: int32 scalar; 0 right (+x), 1 down (+y), 2 left, 3 up.

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from envs_jax.minigrid import expert as experts
 from envs_jax.minigrid import tiles
-from envs_jax.minigrid.environment import DROP, FORWARD, front_index, heading
+from envs_jax.minigrid.environment import DROP, FORWARD, at_index, front_index, heading
 from envs_jax.minigrid.state import GridState
 from jaxact.pomdp import ExpertAction, Outcome, Task
 
@@ -68,7 +68,7 @@ def _entered(
     Neither ever changes, so what lay in front of the agent is read from the state after the step:
     the state before it can then be overwritten in place.
     """
-    kind = after.tiles[front_index(before, height)] & tiles.TYPE_MASK
+    kind = at_index(after.tiles, front_index(before, height)) & tiles.TYPE_MASK
     return (action == FORWARD) & (kind == tiles.GOAL), (action == FORWARD) & (kind == tiles.LAVA)
 
 
@@ -141,7 +141,7 @@ class InstructionTask(Task):
 
     def _tracked(self, state: GridState, cell: jax.Array) -> jax.Array:
         """Returns uint32 0 or 1: whether description 0 tracks what stands in `cell`."""
-        return state.marks[cell].astype(jnp.uint32) & 1
+        return at_index(state.marks, cell).astype(jnp.uint32) & 1
 
     def _front_bit(self, state: GridState) -> jax.Array:
         """Returns uint32[1, height] with one bit set, that of the cell the agent faces."""

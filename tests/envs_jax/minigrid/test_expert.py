@@ -117,10 +117,9 @@ class Model:
 def model_of(pomdp: POMDP, state: State, actions: tuple[int, ...]) -> Model:
     """Reads one lane (of NumPy arrays)."""
     width, height = pomdp.task.width, pomdp.task.height
-    shape = (width + 2 * PADDING, height + 2 * PADDING)
     world = state.environment
     inner = np.s_[PADDING:-PADDING, PADDING:-PADDING]
-    plane, marks = world.tiles.reshape(shape)[inner], world.marks.reshape(shape)[inner]
+    plane, marks = world.tiles[inner], world.marks[inner]
     targets = None
     if hasattr(state.task, "ghosts"):
         ghosts = [[row >> x & 1 for row in map(int, state.task.ghosts[0])] for x in range(width)]
@@ -194,9 +193,8 @@ def embed(world: GridState, width: int, height: int, size: int) -> GridState:
     wall = jnp.uint8(tiles.WALL_TILE)
 
     def enlarge(plane: jax.Array, fill: Any) -> jax.Array:
-        square = plane.reshape(width + 2 * PADDING, height + 2 * PADDING)
         more = ((0, size - width), (0, size - height))
-        return jnp.pad(square, more, constant_values=fill).reshape(-1)
+        return jnp.pad(plane, more, constant_values=fill)
 
     return replace(
         world, tiles=enlarge(world.tiles, wall), marks=enlarge(world.marks, jnp.uint16(0))
