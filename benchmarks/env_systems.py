@@ -135,20 +135,27 @@ class JaxactWorld:
         import jax
         import jax.numpy as jnp
 
-        from jaxact.rollout import QUEUE_LENGTH, start_lanes
+        from jaxact.rollout import QUEUE_LENGTH, start_lanes, turn_over
 
         sampler_key, lanes_key, ages_key = jax.random.split(key, 3)
         sampler_state = self.pomdp.sampler.init(sampler_key)
         no_model = SimpleNamespace(initial_memory=lambda lanes: ())
         keys = jax.random.split(lanes_key, lanes)
-        started = start_lanes(self.pomdp, sampler_state, no_model, keys, QUEUE_LENGTH)
-        ages = jax.random.randint(ages_key, (lanes,), 0, started.state.horizon, jnp.int32)
+        waiting = start_lanes(self.pomdp, sampler_state, no_model, keys, QUEUE_LENGTH)
+        queue, worlds, observation = turn_over(
+            self.pomdp,
+            sampler_state,
+            waiting.queue,
+            waiting.is_first,
+            waiting.state,
+            waiting.observation,
+        )
+        ages = jax.random.randint(ages_key, (lanes,), 0, worlds.horizon, jnp.int32)
         # One copy of the sampler's state a lane, so that all leaves have the same first axis.
         sampler_states = jax.tree.map(
             lambda x: jnp.broadcast_to(x, (lanes, *x.shape)), sampler_state
         )
-        state = replace(started.state, steps=ages)
-        return (state, started.queue, sampler_states), started.observation
+        return (replace(worlds, steps=ages), queue, sampler_states), observation
 
     def step(self, key: Any, state: PyTree, action: Any) -> tuple[PyTree, PyTree, Any, Any]:
         """See `benchmarks.jax_loop.World`."""

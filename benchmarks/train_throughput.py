@@ -45,9 +45,6 @@ class Arguments:
 def main() -> None:
     """Parses the command line and prints the figures."""
     arguments = tyro.cli(Arguments)
-    from jaxact.command_line import set_xla_flags
-
-    set_xla_flags()
     peak = _matmul_flops(arguments.repeats)
     _print_machine(peak)
     print(json.dumps(_measure(arguments, peak)), flush=True)

@@ -16,10 +16,6 @@ from jaxact.options import Options
 
 Arguments = TypeVar("Arguments")
 
-# XLA's newer code generator for CPUs takes about twice as long to compile chains of small
-# operations, such as worlds and planners are, and they run no faster for it.
-_XLA_FLAGS = "--xla_cpu_use_fusion_emitters=false"
-
 
 @dataclass(frozen=True)
 class TrainArguments(Options):
@@ -85,20 +81,12 @@ def _run(
 ) -> None:
     """Parses the command line, runs the command, and prints bad input as one sentence."""
     parsed = tyro.cli(arguments, prog=f"python -m {program}")
-    set_xla_flags()
     try:
         code = command(parsed)
     except JaxactError as error:
         print(f"{program}: {error}", file=sys.stderr)
         code = 2
     sys.exit(code)
-
-
-def set_xla_flags() -> None:
-    """Sets XLA's flags, unless the user has; jax reads them when it first computes something."""
-    flags = os.environ.get("XLA_FLAGS", "")
-    if "xla_cpu_use_fusion_emitters" not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} {_XLA_FLAGS}".strip()
 
 
 def _use_compilation_cache() -> None:

@@ -1,9 +1,9 @@
 """Acting: lanes of worlds, a queue of fresh episodes for each, and the scan that steps them.
 
-A lane is one world. Each lane holds a short queue of episodes sampled ahead; a lane that finishes
-takes its next one, and when any queue is empty one scalar branch refills them all. So no step pays
-for a level that is thrown away, no episode is served twice, and episode k of lane b is a pure
-function of the seed, b and k, whatever the number of devices.
+A lane is one world. Each lane holds a short queue of episodes sampled ahead; a lane that has
+finished takes its next one before it acts again, and when any queue is empty one scalar branch
+refills them all. So no step pays for a level that is thrown away, no episode is served twice, and
+episode k of lane b is a pure function of the seed, b and k, whatever the number of devices.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxact.compaction import for_each_chosen
 from jaxact.models.output import ActorCriticOutput
 from jaxact.pomdp import POMDP, Episode, ExpertAction, FinishedEpisodes, PyTree, State, Step
 
-QUEUE_LENGTH = 4
+QUEUE_LENGTH = 8
 
 
 @jax.tree_util.register_dataclass
@@ -53,7 +54,8 @@ class Lanes:
       queue: episodes to come.
       memory: the policy's memory.
       previous_action: the last action (zeros before the first).
-      is_first: bool, true at the first step of an episode.
+      is_first: bool, true where the next step is the first of a new episode: state and observation
+        are then those of the one before, at its end.
       episode_return: float32, sum of rewards so far.
       episode_terms: the same for each of the reward's named components.
     """
@@ -109,7 +111,9 @@ def fill_queue(
         return episode, pomdp.observe(pomdp.begin(episode))
 
     indices = first[:, None] + jnp.arange(length, dtype=jnp.int32)
-    episodes, observations = jax.vmap(jax.vmap(sample, in_axes=(None, 0)))(key, indices)
+    # One flat batch, for samplers that work on the whole of it (see `compaction`).
+    flat = jax.vmap(sample)(jnp.repeat(key, length), indices.reshape(-1))
+    episodes, observations = jax.tree.map(lambda x: x.reshape(-1, length, *x.shape[1:]), flat)
     return EpisodeQueue(key, first, jnp.zeros_like(first), episodes, observations)
 
 
@@ -128,8 +132,8 @@ def turn_over(
       sampler_state: for refilling.
       queue: episodes to come.
       finished: bool [B].
-      state: states reached [B].
-      observation: observations of them [B, ...].
+      state: where the lanes stand [B].
+      observation: what is seen there [B, ...].
 
     Returns:
       The queue, states and observations to go on with.
@@ -145,14 +149,31 @@ def turn_over(
     # A loop of at most one pass rather than a `cond`: under `vmap` (over seeds or draws) a cond
     # would run both branches at every step, while this loop still runs only if some queue is dry.
     queue = jax.lax.while_loop(runs_dry, refill, queue)
-    index = jnp.minimum(queue.taken, length - 1)
-    next_episode, next_observation = jax.vmap(lambda i, tree: jax.tree.map(lambda x: x[i], tree))(
-        index, (queue.episodes, queue.observations)
-    )
-    next_state = jax.vmap(pomdp.begin)(next_episode)
+    state, observation = _take(pomdp, queue, finished, state, observation)
     queue = replace(queue, taken=queue.taken + finished.astype(jnp.int32))
-    state, observation = select(finished, (next_state, next_observation), (state, observation))
     return queue, state, observation
+
+
+def _take(
+    pomdp: POMDP,
+    queue: EpisodeQueue,
+    finished: jax.Array,
+    state: State,
+    observation: dict[str, jax.Array],
+) -> tuple[State, dict[str, jax.Array]]:
+    """Puts the next episode of each finished lane, and what is first seen of it, in its place."""
+    length = jax.tree.leaves(queue.observations)[0].shape[1]
+
+    def take(places: jax.Array, rows: jax.Array, now: PyTree) -> tuple[jax.Array, PyTree]:
+        index = rows * length + queue.taken[rows]
+        episode, first_observation = jax.tree.map(
+            lambda x: x.reshape(-1, *x.shape[2:])[index], (queue.episodes, queue.observations)
+        )
+        new = (jax.vmap(pomdp.begin)(episode), first_observation)
+        now = jax.tree.map(lambda x, y: x.at[places].set(y, mode="drop"), now, new)
+        return jnp.zeros_like(places, bool), now
+
+    return for_each_chosen(finished, (state, observation), take)
 
 
 def select(mask: jax.Array, on_true: PyTree, on_false: PyTree) -> PyTree:
@@ -167,7 +188,7 @@ def select(mask: jax.Array, on_true: PyTree, on_false: PyTree) -> PyTree:
 def start_lanes(
     pomdp: POMDP, sampler_state: PyTree, model: Any, keys: jax.Array, queue_length: int
 ) -> Lanes:
-    """Begins the first episode of every lane.
+    """Returns lanes whose first episodes are about to begin; none is sampled yet.
 
     Args:
       pomdp: the world.
@@ -178,8 +199,18 @@ def start_lanes(
     """
     lanes = keys.shape[0]
     stream_keys, lane_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
-    queue = fill_queue(pomdp, sampler_state, stream_keys, jnp.zeros(lanes, jnp.int32), queue_length)
-    state = jax.vmap(pomdp.begin)(jax.tree.map(lambda x: x[:, 0], queue.episodes))
+    used_up = jnp.full(lanes, queue_length, jnp.int32)
+
+    def fill(keys: jax.Array) -> EpisodeQueue:
+        return fill_queue(pomdp, sampler_state, keys, -used_up, queue_length)
+
+    def nothing_like(tree: PyTree) -> PyTree:
+        return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), tree)
+
+    filled = jax.eval_shape(fill, stream_keys)
+    episodes, observations = nothing_like((filled.episodes, filled.observations))
+    queue = EpisodeQueue(stream_keys, -used_up, used_up, episodes, observations)
+    state = jax.vmap(pomdp.begin)(jax.tree.map(lambda x: x[:, 0], episodes))
     action = jax.tree.map(
         lambda x: jnp.zeros((lanes, *x.shape), x.dtype), pomdp.action_space.structure
     )
@@ -187,8 +218,8 @@ def start_lanes(
     return Lanes(
         key=lane_keys,
         state=state,
-        observation=jax.tree.map(lambda x: x[:, 0], queue.observations),
-        queue=replace(queue, taken=jnp.ones(lanes, jnp.int32)),
+        observation=jax.tree.map(lambda x: x[:, 0], observations),
+        queue=queue,
         memory=model.initial_memory(lanes),
         previous_action=action,
         is_first=jnp.ones(lanes, bool),
@@ -227,26 +258,29 @@ def rollout(
     def act(lanes: Lanes, _: None) -> tuple[Lanes, Trajectory]:
         keys = jnp.moveaxis(jax.vmap(lambda k: jax.random.split(k, 5))(lanes.key), 1, 0)
         key, action_keys, world_keys, expert_keys, forcing_keys = keys
-        output, memory = policy(
-            lanes.observation, lanes.memory, lanes.previous_action, lanes.is_first
+        queue, state, observation = turn_over(
+            pomdp, sampler_state, lanes.queue, lanes.is_first, lanes.state, lanes.observation
         )
+        going_on = jnp.where(lanes.is_first, 0.0, jnp.float32(1))
+        output, memory = policy(observation, lanes.memory, lanes.previous_action, lanes.is_first)
         action = jax.vmap(lambda distribution, key: distribution.sample(key))(
             output.distribution, action_keys
         )
         expert, forced = None, jnp.zeros_like(lanes.is_first)
         if query_expert:
-            expert = jax.vmap(pomdp.expert)(expert_keys, lanes.state)
+            expert = jax.vmap(pomdp.expert)(expert_keys, state)
             uniform = jax.vmap(lambda key: jax.random.uniform(key, (), jnp.float32))(forcing_keys)
             forced = expert.valid & (uniform < teacher_forcing)
             action = select(forced, expert.action, action)
-        state, step = jax.vmap(pomdp.step)(world_keys, lanes.state, action)
+        state, step = jax.vmap(pomdp.step)(world_keys, state, action)
 
-        episode_return = lanes.episode_return + step.reward
+        episode_return = lanes.episode_return * going_on + step.reward
         episode_terms = {
-            name: total + step.reward_terms[name] for name, total in lanes.episode_terms.items()
+            name: total * going_on + step.reward_terms[name]
+            for name, total in lanes.episode_terms.items()
         }
         transition = Trajectory(
-            observation=lanes.observation,
+            observation=observation,
             previous_action=lanes.previous_action,
             is_first=lanes.is_first,
             action=action,
@@ -265,20 +299,16 @@ def rollout(
             ),
             episode_terms=episode_terms,
         )
-        queue, state, observation = turn_over(
-            pomdp, sampler_state, lanes.queue, step.finished, state, step.observation
-        )
-        going_on = jnp.where(step.finished, 0.0, jnp.float32(1))
         lanes = Lanes(
             key=key,
             state=state,
-            observation=observation,
+            observation=step.observation,
             queue=queue,
             memory=memory,
             previous_action=action,
             is_first=step.finished,
-            episode_return=episode_return * going_on,
-            episode_terms={name: total * going_on for name, total in episode_terms.items()},
+            episode_return=episode_return,
+            episode_terms=episode_terms,
         )
         return lanes, transition
 

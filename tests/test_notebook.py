@@ -23,8 +23,8 @@ def test_runs(monkeypatch):
 
     paths = [str(REPOSITORY), os.environ.get("PYTHONPATH")]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path for path in paths if path))
-    # The flags of `python -m jaxact.train`; the tests' own would make training crawl.
-    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+    # Without the tests' own flags, which make training crawl.
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
     notebook = nbformat.read(NOTEBOOK, as_version=4)
     resources = {"metadata": {"path": str(NOTEBOOK.parent)}}
     NotebookClient(notebook, timeout=600, kernel_name="python3", resources=resources).execute()

@@ -26,9 +26,8 @@ def test_code_of_the_readme_runs(tmp_path):
     assert len(re.findall(r"^```python$", text, re.M)) == 6
     program = tmp_path / "README.py"
     program.write_text(code_of(text), encoding="utf-8")
-    # The flags of `python -m jaxact.train`; the tests' own would make training crawl.
-    flags = "--xla_cpu_use_fusion_emitters=false"
-    environment = os.environ | {"XLA_FLAGS": flags, "PYTHONPATH": str(REPOSITORY)}
+    # Without the tests' own flags, which make training crawl.
+    environment = os.environ | {"XLA_FLAGS": "", "PYTHONPATH": str(REPOSITORY)}
     finished = subprocess.run(
         [sys.executable, str(program)],
         cwd=tmp_path,

@@ -25,12 +25,6 @@ FILE = "from tests.tiny import experiment as make\n\nexperiment = make()\n"
 QUICK = ("--no-progress", "--log-every", "128", "--evaluation-episodes", "40")
 
 
-@pytest.fixture(autouse=True)
-def flags_stay(request, monkeypatch):
-    if "flags" not in request.node.name:
-        monkeypatch.setattr(command_line, "set_xla_flags", lambda: None)
-
-
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
     path = tmp_path_factory.mktemp("experiments") / "small.py"
@@ -267,20 +261,6 @@ def test_help_lists_every_flag(call, program):
 def test_every_option_of_python_is_one_of_the_command_line():
     there = {f.name for f in dataclasses.fields(command_line.TrainArguments)}
     assert {f.name for f in dataclasses.fields(Options)} <= there
-
-
-@pytest.mark.parametrize(
-    ("given", "expected"),
-    [
-        (None, "--xla_cpu_use_fusion_emitters=false"),
-        ("--xla_a=1", "--xla_a=1 --xla_cpu_use_fusion_emitters=false"),
-        ("--xla_cpu_use_fusion_emitters=true", "--xla_cpu_use_fusion_emitters=true"),
-    ],
-)
-def test_xla_flags_yield_to_the_users(given, expected, monkeypatch):
-    monkeypatch.setenv("XLA_FLAGS", given or "")
-    command_line.set_xla_flags()
-    assert os.environ["XLA_FLAGS"] == expected
 
 
 def start(*arguments):

@@ -16,6 +16,7 @@ import numpy as np
 from envs_jax.minigrid import tiles
 from envs_jax.minigrid.state import PADDING, GridState
 from envs_jax.minigrid.tasks import GoalState
+from jaxact.compaction import for_each_chosen
 from jaxact.pomdp import Episode
 
 
@@ -119,20 +120,45 @@ def _rows(cells: jax.Array) -> jax.Array:
 def until_valid(key: jax.Array, draw: Callable[[jax.Array], tuple[Any, jax.Array]]) -> Any:
     """Draws whole levels until one is valid, as MiniGrid's rejection sampling does.
 
+    In a batch only the levels that were not valid are drawn again.
+
     Args:
       key: a PRNG key.
-      draw: turns a key into a level (any pytree) and a bool, whether it is valid.
+      draw: turns a key into a level (any pytree) and a bool, whether it is valid. It must not
+        depend on other traced values.
     """
 
-    def again(carry: tuple[jax.Array, Any, jax.Array]) -> tuple[jax.Array, Any, jax.Array]:
-        next_key, draw_key = jax.random.split(carry[0])
+    def attempt(key: jax.Array) -> tuple[jax.Array, Any, jax.Array]:
+        next_key, draw_key = jax.random.split(key)
         return next_key, *draw(draw_key)
 
-    shapes, _ = jax.eval_shape(draw, key)
-    nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
-    start = (key, nothing, jnp.bool_(False))
-    _, level, _ = jax.lax.while_loop(lambda carry: ~carry[2], again, start)
-    return level
+    @jax.custom_batching.custom_vmap
+    def first_valid(key: jax.Array) -> Any:
+        _, level, _ = jax.lax.while_loop(
+            lambda tried: ~tried[2], lambda tried: attempt(tried[0]), attempt(key)
+        )
+        return level
+
+    @first_valid.def_vmap
+    def first_valid_of_each(size: int, batched: list[bool], keys: jax.Array) -> tuple[Any, Any]:
+        del batched  # There is no other argument that could be the batched one.
+
+        def try_some(
+            places: jax.Array, rows: jax.Array, found: tuple[jax.Array, Any]
+        ) -> tuple[jax.Array, tuple[jax.Array, Any]]:
+            new_keys, new_levels, valid = jax.vmap(attempt)(found[0][rows])
+            found = jax.tree.map(
+                lambda x, y: x.at[places].set(y, mode="drop"), found, (new_keys, new_levels)
+            )
+            return ~valid, found
+
+        shapes = jax.eval_shape(jax.vmap(attempt), keys)[1]
+        nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+        everyone = jnp.ones(size, bool)
+        _, levels = for_each_chosen(everyone, (keys, nothing), try_some, share=16)
+        return levels, jax.tree.map(lambda _: True, levels)
+
+    return first_valid(key)
 
 
 def grid_state(
@@ -152,8 +178,8 @@ def grid_state(
     """
     marks = jnp.zeros(plane.shape, jnp.uint16) if tracked is None else tracked.astype(jnp.uint16)
     return GridState(
-        tiles=jnp.pad(plane, PADDING, constant_values=tiles.WALL_TILE).reshape(-1),
-        marks=jnp.pad(marks, PADDING).reshape(-1),
+        tiles=jnp.pad(plane, PADDING, constant_values=tiles.WALL_TILE),
+        marks=jnp.pad(marks, PADDING),
         position=position,
         direction=direction,
         carrying=jnp.uint8(0),
