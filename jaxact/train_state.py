@@ -29,7 +29,8 @@ class TrainState:
       sampler: the task sampler's state.
       updates: int32 [number of stages], updates done in each stage.
       stopped: bool [number of stages], whether each stage has stopped early.
-      block: float32 [2], sum and count of the early-stopping metric in the present block.
+      block: float32 [number of stages, 2], sum and count of each stage's early-stopping metric in
+        its present block.
     """
 
     params: PyTree
@@ -78,5 +79,5 @@ def start(experiment: Experiment, key: jax.Array) -> TrainState:
         sampler=sampler,
         updates=jnp.zeros(stages, jnp.int32),
         stopped=jnp.zeros(stages, bool),
-        block=jnp.zeros(2, jnp.float32),
+        block=jnp.zeros((stages, 2), jnp.float32),
     )

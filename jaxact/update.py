@@ -73,7 +73,7 @@ def update(
     if curriculum:
         sampler = pomdp.sampler.update(sampler, _gather_lanes(trajectory.finished, axis_name))
     episodes = _episode_sums(trajectory, axis_name)
-    block, stopped = _early_stopping(stage, state.block, episodes)
+    block, stopped = _early_stopping(stage, state.block[stage_index], episodes)
     metrics = {
         **losses,
         **{f"episodes/{name}": value for name, value in episodes.items()},
@@ -88,7 +88,7 @@ def update(
         sampler=sampler,
         updates=state.updates.at[stage_index].add(1),
         stopped=state.stopped.at[stage_index].set(stopped),
-        block=block,
+        block=state.block.at[stage_index].set(block),
     ), metrics
 
 

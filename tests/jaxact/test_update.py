@@ -6,10 +6,11 @@ import numpy as np
 import optax
 import pytest
 
-from jaxact import EarlyStopping, Stage, TrainingPipeline
-from jaxact.losses import PPO
+from jaxact import EarlyStopping, Stage, TrainingPipeline, make_train
+from jaxact.losses import PPO, Imitation
 from jaxact.train_state import make_key, optimizer_for
 from jaxact.update import _early_stopping, _minibatch_lanes
+from tests.tiny import UPDATE, experiment
 
 
 def deal(keys, minibatches):
@@ -81,3 +82,19 @@ def test_without_a_rule_no_stage_stops():
     stage = Stage({"ppo": PPO()}, steps=1)
     _, stop = _early_stopping(stage, jnp.zeros(2, jnp.float32), {})
     assert not bool(stop)
+
+
+def test_no_stage_stops_for_the_episodes_of_the_one_before():
+    """The second has at most UPDATE episodes, so that its block is never full."""
+    enough = EarlyStopping(at_least=0.0, episodes=UPDATE + 1)
+    never = EarlyStopping(at_least=2.0, episodes=1000)
+    losses = {"imitation": Imitation()}
+    stages = (
+        Stage(losses, steps=4 * UPDATE, teacher_forcing=1.0, stop=never),
+        Stage(losses, steps=UPDATE, teacher_forcing=1.0, stop=enough),
+    )
+    state, metrics = jax.jit(make_train(experiment(stages=stages)))(make_key(0))
+    counts = np.asarray(metrics["episodes/count"])
+    assert counts[:4].sum() > UPDATE
+    assert not np.any(state.stopped)
+    np.testing.assert_array_equal(state.block[:, 1], [counts[:4].sum(), counts[4]])
