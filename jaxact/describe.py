@@ -55,20 +55,15 @@ def describe(experiment: Experiment, devices: int | None = None) -> str:
     return "\n".join(lines)
 
 
-def model_flops(experiment: Experiment, lanes: int, length: int | None) -> float:
-    """Returns XLA's count of the FLOPs of one forward pass of the model.
+def model_flops(experiment: Experiment, lanes: int) -> float:
+    """Returns XLA's count of the FLOPs of one step of the model on all of `lanes`.
 
-    Args:
-      experiment: whose model.
-      lanes: B.
-      length: T of a sequence pass, None for a single step. XLA counts the body of a loop once,
-        so the recurrent part of a sequence pass is left out but for one step.
+    A step rather than a sequence, since XLA counts the body of a loop over time only once.
     """
-    lead = (lanes,) if length is None else (length, lanes)
     pomdp, model = experiment.pomdp, experiment.model
 
-    def like(tree: Any, shape: tuple[int, ...]) -> Any:
-        return jax.tree.map(lambda x: jax.ShapeDtypeStruct(shape + x.shape, x.dtype), tree)
+    def like(tree: Any) -> Any:
+        return jax.tree.map(lambda x: jax.ShapeDtypeStruct((lanes, *x.shape), x.dtype), tree)
 
     key = make_key(0)
     params = jax.eval_shape(lambda: init_params(experiment, key))
@@ -76,10 +71,10 @@ def model_flops(experiment: Experiment, lanes: int, length: int | None) -> float
         jax.jit(model.apply)
         .lower(
             params,
-            like(pomdp.observation_space.structure, lead),
+            like(pomdp.observation_space.structure),
             jax.eval_shape(lambda: model.initial_memory(lanes)),
-            like(pomdp.action_space.structure, lead),
-            jax.ShapeDtypeStruct(lead, bool),
+            like(pomdp.action_space.structure),
+            jax.ShapeDtypeStruct((lanes,), bool),
         )
         .compile()
         .cost_analysis()
@@ -93,7 +88,7 @@ def update_flops(experiment: Experiment, stage_index: int) -> float:
     """
     settings = experiment.pipeline.at(experiment.pipeline.stages[stage_index])
     lanes = settings.lanes
-    forward = model_flops(experiment, lanes, None) / lanes
+    forward = model_flops(experiment, lanes) / lanes
     return forward * (1 + 3 * settings.epochs)
 
 
