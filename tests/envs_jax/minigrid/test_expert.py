@@ -22,6 +22,7 @@ from envs_jax.minigrid.state import PADDING, GridState
 from envs_jax.minigrid.tasks import GoalTask, InstructionTask
 from jaxact.pomdp import POMDP, State
 
+IDS = [name for name in envs_jax.ids() if name.startswith(("MiniGrid-", "BabyAI-"))]
 LEFT, RIGHT, FORWARD, PICKUP, DROP, TOGGLE, DONE = range(7)
 STEPS = [(1, 0), (0, 1), (-1, 0), (0, -1)]
 WALKABLE = {tiles.EMPTY, tiles.FLOOR, tiles.OPEN_DOOR}
@@ -287,10 +288,8 @@ def check_optimal(name: str, lanes: int, wandering: int, seed: int = 0) -> tuple
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", envs_jax.ids())
+@pytest.mark.parametrize("name", IDS)
 def test_paths_are_shortest_in_every_world(name: str) -> None:
-    if not name.startswith(("MiniGrid-", "BabyAI-")):
-        pytest.skip("not a grid world")
     for wandering in (0, 40):
         equal, compared = check_optimal(name, 400, wandering, seed=1)
         assert compared >= 30
@@ -298,7 +297,7 @@ def test_paths_are_shortest_in_every_world(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", envs_jax.ids())
+@pytest.mark.parametrize("name", IDS)
 def test_solves_every_world_within_its_horizon(name: str) -> None:
     pomdp = envs_jax.make(name)
     runner = Runner(pomdp)
