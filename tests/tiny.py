@@ -25,6 +25,15 @@ from tests.corridor import ReachEnd, corridor
 
 # Environment steps of one update of `experiment()`.
 UPDATE = 64
+# Logs, evaluates and saves more than once in such a run.
+OPTIONS: dict[str, Any] = {
+    "log_every": 2 * UPDATE,
+    "evaluate_every": 4 * UPDATE,
+    "checkpoint_every": 2 * UPDATE,
+    "evaluation_episodes": 40,
+    "keep_last": 10,
+    "progress": False,
+}
 
 
 @dataclasses.dataclass(frozen=True)

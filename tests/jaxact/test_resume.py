@@ -15,16 +15,7 @@ from jaxact.checkpoints import Checkpoints
 from jaxact.program import Program, choose_devices
 from jaxact.train import Run
 from jaxact.train_state import make_key
-from tests.tiny import UPDATE, assert_same, cache_environment, experiment
-
-OPTIONS = {
-    "log_every": 2 * UPDATE,
-    "evaluate_every": 4 * UPDATE,
-    "checkpoint_every": 2 * UPDATE,
-    "evaluation_episodes": 40,
-    "keep_last": 10,
-    "progress": False,
-}
+from tests.tiny import OPTIONS, UPDATE, assert_same, cache_environment, experiment
 
 
 @pytest.fixture(scope="module")

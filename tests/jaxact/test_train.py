@@ -13,16 +13,7 @@ from jaxact.logs import read_metrics
 from jaxact.program import Program, choose_devices
 from jaxact.runs import create_run
 from jaxact.train_state import make_key
-from tests.tiny import UPDATE, assert_same, experiment
-
-OPTIONS = {
-    "log_every": 2 * UPDATE,
-    "evaluate_every": 4 * UPDATE,
-    "checkpoint_every": 2 * UPDATE,
-    "evaluation_episodes": 40,
-    "keep_last": 10,
-    "progress": False,
-}
+from tests.tiny import OPTIONS, UPDATE, assert_same, experiment
 
 
 @pytest.fixture(scope="module")
