@@ -61,7 +61,7 @@ class EvaluateArguments:
     expert: bool = False
     """Evaluate the task's expert instead of a policy."""
     video: Path | None = None
-    """Film the first episode into this file (.gif or .mp4)."""
+    """Film the first held-out episode into this file (.gif or .mp4)."""
     set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """PATH=VALUE overrides one value of the experiment, to evaluate under other conditions."""
 

@@ -76,7 +76,7 @@ def evaluate_run(
       episodes: held-out episodes, each played once.
       seed: of the episodes.
       greedy: take the most likely actions.
-      video: film the first episode of the last checkpoint into this file.
+      video: film the last of these checkpoints on the first held-out episode, into this file.
 
     Returns:
       A summary for each checkpoint, with 95 % confidence intervals.

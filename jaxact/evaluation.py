@@ -79,6 +79,16 @@ def evaluate_expert(pomdp: POMDP, episodes: int = 1000, *, seed: int = 0) -> Eva
     return _evaluate(_expert_player(pomdp), (), episodes, seed)
 
 
+def held_out_keys(seed: int, episodes: int) -> tuple[jax.Array, jax.Array]:
+    """Returns the PRNG keys [N] of held-out episodes' beginnings, and [N] of all their steps.
+
+    Episode i has the same keys however many there are.
+    """
+    keys = jax.random.split(jax.random.fold_in(make_key(seed), HELD_OUT), episodes)
+    reset_keys, step_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
+    return reset_keys, step_keys
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class _Play:
@@ -95,7 +105,7 @@ class _Play:
 
 
 Actor = Callable[[PyTree, jax.Array, _Play], tuple[PyTree, PyTree]]
-Player = Callable[[PyTree, jax.Array], _Play]
+Player = Callable[[PyTree, jax.Array, jax.Array], _Play]
 
 
 @cached_by_identity
@@ -128,11 +138,10 @@ def _expert_player(pomdp: POMDP) -> Player:
 
 
 def _player(pomdp: POMDP, act: Actor, initial: Callable[[int], PyTree]) -> Player:
-    """Compiles (parameters, episode keys [B]) -> finished episodes."""
+    """Compiles (parameters, reset keys [B], step keys [B]) -> finished episodes."""
 
-    def play_episodes(params: PyTree, keys: jax.Array) -> _Play:
-        lanes = keys.shape[0]
-        reset_keys, step_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
+    def play_episodes(params: PyTree, reset_keys: jax.Array, step_keys: jax.Array) -> _Play:
+        lanes = reset_keys.shape[0]
         state, observation = jax.vmap(pomdp.reset)(reset_keys)
         action = jax.vmap(pomdp.action_space.sample)(step_keys)
         _, shape = jax.eval_shape(jax.vmap(pomdp.step), step_keys, state, action)
@@ -175,7 +184,7 @@ def _player(pomdp: POMDP, act: Actor, initial: Callable[[int], PyTree]) -> Playe
 
 
 def _evaluate(player: Player, params: PyTree, episodes: int, seed: int) -> Evaluation:
-    keys = jax.random.split(jax.random.fold_in(make_key(seed), HELD_OUT), episodes)
+    reset_keys, step_keys = held_out_keys(seed, episodes)
     # Batches of one size, so that one program serves all; what the last one lacks is played again
     # and left out.
     turns = -(-episodes // MAX_LANES)
@@ -183,7 +192,7 @@ def _evaluate(player: Player, params: PyTree, episodes: int, seed: int) -> Evalu
     parts = []
     for turn in range(turns):
         chosen = np.arange(turn * lanes, (turn + 1) * lanes) % episodes
-        parts.append(player(params, keys[chosen]))
+        parts.append(player(params, reset_keys[chosen], step_keys[chosen]))
 
     results = [(p.success, p.episode_return, p.length, p.metrics) for p in parts]
     joined = jax.tree.map(

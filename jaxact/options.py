@@ -50,7 +50,7 @@ class Options:
     """How many of the newest checkpoints are kept; the best is kept besides."""
 
     video_every: int = 0
-    """Environment steps between films of an episode (0: only at the end)."""
+    """Environment steps between films of the first held-out episode (0: only at the end)."""
 
     progress: bool = True
     """Show progress."""

@@ -10,21 +10,21 @@ import numpy as np
 from jaxact.caching import cached_by_identity
 from jaxact.distributions import Categorical
 from jaxact.errors import JaxactError
+from jaxact.evaluation import held_out_keys
 from jaxact.policy import Policy, PolicyMemory
 from jaxact.pomdp import POMDP
-from jaxact.train_state import make_key
 from jaxact.video import annotate
 
 
 def record_episode(
     pomdp: POMDP, policy: Policy, *, seed: int = 0, greedy: bool = False, max_steps: int = 200
 ) -> np.ndarray:
-    """Plays one episode and films it.
+    """Films the first held-out episode of a seed, step for step as evaluation plays it.
 
     Args:
       pomdp: the world; at least one sensor must be `Pictured`.
       policy: who plays.
-      seed: of the episode.
+      seed: of the held-out episodes.
       greedy: whether the most likely actions are taken.
       max_steps: the film ends after so many steps.
 
@@ -35,12 +35,12 @@ def record_episode(
       JaxactError: no sensor can be pictured.
     """
     start, advance, show = _player(pomdp, policy.model, greedy)
-    reset_key, step_key = jax.random.split(make_key(seed))
-    state, observation, memory = start(reset_key)
+    reset_keys, step_keys = held_out_keys(seed, 1)
+    state, observation, memory = start(reset_keys[0])
     mission = pomdp.words(observation) or None
     total, frames = 0.0, []
     for t in range(max_steps):
-        key = jax.random.fold_in(step_key, t)
+        key = jax.random.fold_in(step_keys[0], t)
         pictures = jax.device_get(show(state))
         state, observation, memory, step, action, output = advance(
             policy.params, key, state, observation, memory

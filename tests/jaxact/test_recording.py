@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxact import JaxactError, Policy
+from jaxact import JaxactError, Policy, evaluate_policy
+from jaxact.evaluation import held_out_keys
 from jaxact.recording import record_episode, side_by_side
 from tests.corridor import CellAndGoal, corridor
 from tests.jaxact.test_evaluation import Drift
@@ -41,6 +42,21 @@ def test_every_step_is_one_frame():
         brightness = frames[:, 3, 3, 0].astype(int)
         assert set(np.diff(brightness)) <= {40, 0}
     assert lengths <= {1, 2, 3, 4, 10}
+    assert len(lengths) > 1
+
+
+@pytest.mark.parametrize("greedy", [False, True])
+def test_the_film_is_of_the_first_held_out_episode(greedy):
+    """A policy without a preference: where it begins and how long it takes is all chance."""
+    lengths = set()
+    for seed in range(4):
+        frames = record_episode(POMDP, policy(0.0), seed=seed, greedy=greedy)
+        reset_keys, _ = held_out_keys(seed, 3)
+        state, _ = POMDP.reset(reset_keys[0])
+        assert frames[0, 3, 3, 0] == 40 * int(state.environment) + 10
+        played = evaluate_policy(POMDP, policy(0.0), 3, seed=seed, greedy=greedy)
+        assert len(frames) == played.length[0]
+        lengths.add(len(frames))
     assert len(lengths) > 1
 
 
