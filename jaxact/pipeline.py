@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import optax
-from flax.core import FrozenDict
 
 from jaxact.errors import JaxactError, unknown
+from jaxact.frozen import FrozenMapping
 from jaxact.losses.base import Loss
 from jaxact.schedules import Schedule
 
@@ -65,7 +65,7 @@ class Stage:
             if name not in self.losses:
                 raise unknown("loss in a stage's weights", name, self.losses)
         for name in ("losses", "weights", "overrides"):
-            object.__setattr__(self, name, FrozenDict(getattr(self, name)))
+            object.__setattr__(self, name, FrozenMapping(getattr(self, name)))
 
     @property
     def needs_expert(self) -> bool:
@@ -112,7 +112,7 @@ class TrainingPipeline:
     def __post_init__(self) -> None:
         if not self.stages:
             raise JaxactError("a pipeline needs at least one stage")
-        object.__setattr__(self, "optimizer_options", FrozenDict(self.optimizer_options))
+        object.__setattr__(self, "optimizer_options", FrozenMapping(self.optimizer_options))
 
     def at(self, stage: Stage) -> TrainingPipeline:
         """Returns the pipeline with the stage's overrides applied.

@@ -14,9 +14,9 @@ from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
-from flax.core import FrozenDict
 
 from jaxact.errors import JaxactError
+from jaxact.frozen import FrozenMapping
 from jaxact.spaces import Dict, Space
 
 PyTree = Any
@@ -244,7 +244,7 @@ class POMDP:
     sensors: Mapping[str, Sensor]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "sensors", FrozenDict(sorted(self.sensors.items())))
+        object.__setattr__(self, "sensors", FrozenMapping(sorted(self.sensors.items())))
 
     @property
     def action_space(self) -> Space:

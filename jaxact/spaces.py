@@ -14,7 +14,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax.core import FrozenDict
+
+from jaxact.frozen import FrozenMapping
 
 
 class Space(ABC):
@@ -107,7 +108,7 @@ class Dict(Space):
     spaces: Mapping[str, Space]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "spaces", FrozenDict(sorted(self.spaces.items())))
+        object.__setattr__(self, "spaces", FrozenMapping(sorted(self.spaces.items())))
 
     def sample(self, key: jax.Array) -> dict[str, Any]:  # noqa: D102
         keys = jax.random.split(key, len(self.spaces))

@@ -1,15 +1,17 @@
-"""`import jaxact` stays quick and leaves the heavy libraries alone."""
+"""`import jaxact` stays quick; it and the worlds leave the heavy libraries alone."""
 
 import os
 import subprocess
 import sys
 from pathlib import Path
 
-HEAVY = ("orbax", "tensorboardX", "brax", "mujoco", "optax", "matplotlib", "imageio")
+HEAVY = ("flax", "orbax", "tensorboardX", "brax", "mujoco", "optax", "matplotlib", "imageio")
 PRINT = """
 import sys, time, jaxact
 dir(jaxact)
-print(time.process_time(), *sys.modules)
+seconds = time.process_time()
+import envs_jax
+print(seconds, *sys.modules)
 """
 SECONDS = 2.5
 

@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from flax.core import FrozenDict
 
 from jaxact.errors import JaxactError
+from jaxact.frozen import FrozenMapping
 from jaxact.overrides import fingerprint, leaves, numbers, override, to_json, with_numbers
 
 
@@ -73,7 +73,7 @@ class Experiment:
 
 @pytest.fixture
 def experiment() -> Experiment:
-    stage = Stage(FrozenDict({"ppo": PPO(), "aux": PPO(clip=Linear(0.3))}))
+    stage = Stage(FrozenMapping({"ppo": PPO(), "aux": PPO(clip=Linear(0.3))}))
     return Experiment((stage, dataclasses.replace(stage, name="second")), Net(head=Net()))
 
 
@@ -117,7 +117,7 @@ def test_override_sets_one_leaf_and_nothing_else(
     before, after = leaves(experiment), leaves(changed)
     kept = [key for key in before if not f"{path}.".startswith(key) and not key.startswith(path)]
     assert all(before[key] is after[key] for key in kept)
-    assert type(changed.stages[0].losses) is FrozenDict
+    assert type(changed.stages[0].losses) is FrozenMapping
 
 
 @pytest.mark.parametrize(
