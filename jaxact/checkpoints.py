@@ -17,6 +17,7 @@ import shutil
 import warnings
 import zlib
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -361,8 +362,9 @@ def _is_placed(leaf: Any) -> bool:
 def _as_leaf(array: Any, like: Any) -> Any:
     """Gives a restored array the type and the place of the leaf it stands for."""
     if _is_key(like):
-        key = jax.random.wrap_key_data(array, impl=_key_implementation(like))
-        return jax.device_put(key, like.sharding) if _is_placed(like) else key
+        wrap = partial(jax.random.wrap_key_data, impl=_key_implementation(like))
+        # Keys cannot be put onto the devices of other processes, but they can be computed there.
+        return (jax.jit(wrap, out_shardings=like.sharding) if _is_placed(like) else wrap)(array)
     if isinstance(like, jax.Array | jax.ShapeDtypeStruct):
         if isinstance(array, jax.Array):
             return array

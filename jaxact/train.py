@@ -14,6 +14,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -30,6 +31,7 @@ from jaxact.options import Options
 from jaxact.overrides import fingerprint, to_json
 from jaxact.policy import Policy
 from jaxact.pomdp import Pictured
+from jaxact.processes import is_first, largest, own_copy, text_of_first
 from jaxact.program import Program, choose_devices, concatenate
 from jaxact.progress import ProgressDisplay
 from jaxact.recording import record_episode
@@ -112,6 +114,7 @@ class Run:
         self.log: RunLog | None = None
         self.evaluation: Evaluation | None = None
         self.evaluated_at = -1
+        self.received: signal.Signals | None = None
         self.interrupted: signal.Signals | None = None
 
     def run(self) -> TrainResult:
@@ -122,7 +125,7 @@ class Run:
         numbers = self.program.numbers()
         with (
             self.log or nullcontext(),
-            ProgressDisplay(total, enabled=self.options.progress) as self.display,
+            ProgressDisplay(total, self.options.progress and is_first()) as self.display,
             self._signals(),
         ):
             for index in range(len(self.experiment.pipeline.stages)):
@@ -151,14 +154,15 @@ class Run:
         if options.output is not None and not resumed:
             config = {"seed": self.seed, "fingerprint": self.fingerprint, **self.config}
             config["experiment"] = to_json(self.experiment)
-            self.directory = create_run(options.output, self.experiment.name, config, self.source)
+            make = partial(create_run, options.output, self.experiment.name, config, self.source)
+            self.directory = Path(text_of_first(lambda: str(make())))
         if self.directory is not None:
             self.checkpoints = Checkpoints(self.directory / "checkpoints", options.keep_last)
         state = self._restore(key) if resumed else self.program.start(key)
         if params is not None:
             state = dataclasses.replace(state, params=params)
-        if self.directory is not None:
-            steps = self._steps(state) if resumed else None
+        steps = self._steps(state) if resumed else None
+        if self.directory is not None and is_first():
             self.log = RunLog(self.directory, resume_step=steps)
         return state
 
@@ -218,6 +222,9 @@ class Run:
             self._evaluate(state)
         if self.options.video_every and due("video_every", 1):
             self._film(state)
+        # One process may have been told to stop and another not yet, but all have to save together.
+        number = largest(0 if self.received is None else self.received)
+        self.interrupted = signal.Signals(number) if number else None
         if self.interrupted is not None or due("checkpoint_every", 10):
             self._save(state)
 
@@ -278,7 +285,8 @@ class Run:
         )
 
     def _policy(self, state: TrainState) -> Policy:
-        return Policy(self.experiment.model, state.params, self.experiment.pomdp.action_space)
+        pomdp = self.experiment.pomdp
+        return Policy(self.experiment.model, own_copy(state.params), pomdp.action_space)
 
     def _steps(self, state: TrainState) -> int:
         pipeline = self.experiment.pipeline
@@ -315,11 +323,11 @@ class Run:
             return
 
         def stop(number: int, _: Any) -> None:
-            if self.interrupted is not None:
+            if self.received is not None:
                 raise KeyboardInterrupt
-            self.interrupted = signal.Signals(number)
+            self.received = signal.Signals(number)
             self.display.message(
-                f"{self.interrupted.name}: saving after this chunk; once more to leave at once"
+                f"{self.received.name}: saving after this chunk; once more to leave at once"
             )
 
         old = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}

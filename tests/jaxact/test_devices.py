@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from jaxact.checkpoints import Checkpoints
+from jaxact.logs import read_metrics
 from tests.tiny import cache_environment
 
 SCRIPT = """
@@ -118,7 +120,7 @@ def test_any_number_of_devices_learns_the_same(counts, tmp_path):
 
 
 PROCESS = """
-    import sys
+    import os, signal, sys
     import jax
 
     if len(sys.argv) > 1:
@@ -126,47 +128,73 @@ PROCESS = """
         jax.distributed.initialize(sys.argv[1], num_processes=2, process_id=int(sys.argv[2]))
 
     import numpy as np
-    from jaxact.program import Program, choose_devices
-    from jaxact.train_state import make_key
-    from tests.tiny import experiment
+    from jaxact import JaxactError, train
+    from jaxact.train import Run
+    from tests.tiny import OPTIONS, UPDATE, experiment
 
     assert len(jax.devices()) == 2
-    program = Program(experiment(), choose_devices(None))
-    state = program.start(make_key(0))
-    for index in range(2):
-        state, metrics = program.stage(index, 2)(state, program.numbers(), np.int32(2))
-    params = np.concatenate([np.asarray(x).ravel() for x in jax.tree.leaves(state.params)])
-    assert np.isfinite(params).all()
-    print(params.astype(np.float64).sum(), float(metrics["episodes/count"].sum()))
+    small, process = experiment(learning_rate=1e-2), jax.process_index()
+    after_chunk = Run._after_chunk
+
+    def after(self, state, before, rows):
+        if process == 1 and self._steps(state) == 4 * UPDATE:
+            os.kill(os.getpid(), signal.SIGTERM)
+        after_chunk(self, state, before, rows)
+
+    Run._after_chunk = after
+    if process == 0:
+        open("file", "w").close()
+    try:
+        train(small, output="file/runs", **OPTIONS)
+    except JaxactError as error:
+        assert str(error).startswith("cannot create a run in file/runs"), error
+    result = train(small, output="runs", **OPTIONS)
+    if jax.process_count() == 2:
+        # Only the second was told to stop, but both did.
+        assert result.interrupted == signal.SIGTERM
+        result = train(small, resume=result.run, **OPTIONS)
+    params = np.concatenate([np.ravel(x) for x in jax.tree.leaves(result.policy.params)])
+    print(result.run, params.astype(np.float64).sum(), result.evaluation.length.sum())
 """
 
 
 @pytest.mark.slow
-def test_two_processes_learn_what_one_with_two_devices_does(tmp_path):
+def test_two_processes_train_one_run(tmp_path):
+    """They learn what one process with two devices does, in one directory; stopped and resumed."""
     with socket.socket() as free:
         free.bind(("localhost", 0))
         address = f"localhost:{free.getsockname()[1]}"
 
-    def start(devices, *arguments):
+    def start(devices, directory, *arguments):
+        directory.mkdir(exist_ok=True)
         return subprocess.Popen(
             [sys.executable, "-c", textwrap.dedent(PROCESS), *arguments],
             env=environment(devices),
-            cwd=tmp_path,
+            cwd=directory,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
         )
 
-    started = [start(1, address, "0"), start(1, address, "1"), start(2)]
+    both, alone = tmp_path / "both", tmp_path / "alone"
+    started = [start(1, both, address, "0"), start(1, both, address, "1"), start(2, alone)]
     results = []
     try:
         for process in started:
             printed, errors = process.communicate(timeout=300)
             assert process.returncode == 0, errors
-            results.append([float(x) for x in printed.splitlines()[-1].split()])
+            results.append(printed.splitlines()[-1].split())
     finally:
         for process in started:
             process.kill()
             process.communicate()
     assert results[0] == results[1]
-    assert results[0] == pytest.approx(results[2], rel=1e-3)
+    runs = [both / results[0][0], alone / results[2][0]]
+    for run, directory in zip(runs, (both, alone), strict=True):
+        assert list((directory / "runs" / "corridor").iterdir()) == [run]
+        assert Checkpoints(run / "checkpoints").steps() == [128, 256, 384, 512]
+        assert (run / "evaluation" / "000000000512.json").is_file()
+    for one, other in zip(*map(read_metrics, runs), strict=True):
+        assert one == pytest.approx(other, rel=1e-3, abs=1e-4, nan_ok=True)
+    numbers = [[float(x) for x in result[1:]] for result in (results[0], results[2])]
+    assert numbers[0] == pytest.approx(numbers[1], rel=1e-3)
