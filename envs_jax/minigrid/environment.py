@@ -55,10 +55,13 @@ class GridWorld(Environment):
     Actions are MiniGrid's seven: left, right, forward, pickup, drop, toggle, done (numbers outside
     0 … 6 do nothing). Nothing is random and nothing ends here: goals and lava are passable cells,
     their meaning is a task's business. Source: `MiniGridEnv.step` of minigrid 3.2.0.
+
+    With `pickup_toggles` the action pickup does what toggle does, as in MiniGrid's Memory worlds.
     """
 
     width: int
     height: int
+    pickup_toggles: bool = False
 
     @property
     def action_names(self) -> tuple[str, ...]:
@@ -74,6 +77,8 @@ class GridWorld(Environment):
         """Returns the state after one action; `key` is not used."""
         del key
         action = jnp.asarray(action, jnp.int32)
+        if self.pickup_toggles:
+            action = jnp.where(action == PICKUP, TOGGLE, action)
         front = front_index(state, self.height)
         tile, mark = state.tiles[front], state.marks[front]
         empty_handed = state.carrying == 0

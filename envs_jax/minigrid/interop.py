@@ -11,11 +11,14 @@ import numpy as np
 
 from envs_jax.minigrid import tiles
 from envs_jax.minigrid.catalogue import compose
+from envs_jax.minigrid.environment import GridWorld
 from envs_jax.minigrid.missions import COLOR_WORDS, encode_mission
+from envs_jax.minigrid.rule_import import import_rule
+from envs_jax.minigrid.rules import RuleTask
 from envs_jax.minigrid.state import CONTENTS_SHIFT, PADDING, GridState
 from envs_jax.minigrid.tasks import GoalState, GoalTask, InstructionState, InstructionTask
 from jaxact.errors import JaxactError
-from jaxact.pomdp import POMDP, Episode, PyTree, State, Task, TaskSampler
+from jaxact.pomdp import POMDP, Environment, Episode, PyTree, State, Task, TaskSampler
 
 _KINDS = {
     "wall": tiles.WALL,
@@ -69,7 +72,8 @@ def from_minigrid(env: Any) -> tuple[POMDP, State]:
 
     Returns:
       The POMDP, whose sampler yields this very episode (what is left of it), and its state. Goal
-      worlds come out with a `GoalTask`, BabyAI's GoTo levels with an `InstructionTask`.
+      worlds come out with a `GoalTask`, BabyAI's GoTo levels with an `InstructionTask`, MiniGrid's
+      other worlds with a `RuleTask`.
 
     Raises:
       JaxactError: `env` is no such environment, or follows rules that are not supported, or holds
@@ -88,6 +92,7 @@ def from_minigrid(env: Any) -> tuple[POMDP, State]:
         FixedSampler.of(Episode(world, task_state, jnp.int32(env.max_steps - env.step_count))),
         env.width,
         env.height,
+        environment=_import_environment(env),
         see_through_walls=bool(env.see_through_walls),
         view_size=int(env.agent_view_size),
     )
@@ -99,14 +104,27 @@ def _name(env: Any) -> str:
     return env.spec.id if env.spec is not None else type(env).__name__
 
 
+def _import_environment(env: Any) -> Environment:
+    """Returns the environment, its first state apart."""
+    from minigrid.envs import MemoryEnv
+
+    return GridWorld(env.width, env.height, type(env).step is MemoryEnv.step)
+
+
 def _import_task(env: Any) -> tuple[Task, PyTree, Any]:
     """Returns the task, its state, and the description of the objects to go to (or None)."""
     from minigrid.envs.babyai.core.roomgrid_level import RoomGridLevel
-    from minigrid.envs.babyai.core.verifier import GoToInstr
+    from minigrid.envs.babyai.core.verifier import GoToInstr, ObjDesc
     from minigrid.minigrid_env import MiniGridEnv
 
     size = (int(env.width), int(env.height))
     steps, max_steps = jnp.int32(env.step_count), jnp.int32(env.max_steps)
+    known = import_rule(env)
+    if known is not None:
+        # Described as an instruction does that means this very object, whatever it looks like.
+        description = ObjDesc(None)
+        description.obj_set = [] if known.tracked is None else [known.tracked]
+        return RuleTask(*size), known.state(env), description
     rule = type(env).step
     if rule is MiniGridEnv.step:
         mission = jnp.asarray(encode_mission(env.mission))
@@ -117,8 +135,8 @@ def _import_task(env: Any) -> tuple[Task, PyTree, Any]:
         state = InstructionState(steps, max_steps, mission, ghosts)
         return InstructionTask(*size), state, env.instrs.desc
     raise JaxactError(
-        f"{_name(env)} ends by rules that from_minigrid does not know; supported are worlds that "
-        "end at a goal square (those that keep MiniGridEnv.step) and BabyAI levels whose "
+        f"{_name(env)} ends by rules that from_minigrid does not know; supported are the worlds "
+        "registered as MiniGrid-…, others that keep MiniGridEnv.step, and BabyAI levels whose "
         "instruction is one GoTo"
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -43,7 +44,10 @@ class Recording:
 
 
 def python_env(name: str, **options: Any) -> Any:
-    return gymnasium.make(name, disable_env_checker=True, **options).unwrapped
+    with warnings.catch_warnings():
+        # Gymnasium deprecates every id of which there is a newer version.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return gymnasium.make(name, disable_env_checker=True, **options).unwrapped
 
 
 def play(
@@ -53,8 +57,9 @@ def play(
     env.reset(seed=seed)
     weights = np.array(list(MOODS.values())[rng.integers(len(MOODS))], float)
     draw = partial(rng.choice, 7, p=weights / weights.sum())
-    for _ in range(prefix):
-        env.step(draw())
+    for action in draw(size=prefix):
+        if stays_inside(env, action):
+            env.step(action)
     if scrambled:
         scramble(env, rng)
     pomdp, state = interop.from_minigrid(env)
@@ -62,7 +67,8 @@ def play(
     actions = draw(size=STEPS)
     answers = defaultdict(list)
     missions = []
-    for action in actions:
+    for step in range(STEPS):
+        action = actions[step] = actions[step] if stays_inside(env, actions[step]) else 6
         observation, reward, terminated, truncated, _ = env.step(action)
         answers["image"].append(observation["image"])
         answers["direction"].append(observation["direction"])
@@ -72,6 +78,15 @@ def play(
         missions.append(observation["mission"])
     stacked = {name: np.array(values) for name, values in answers.items()}
     return Recording(pomdp, state, actions, first, stacked, missions)
+
+
+def stays_inside(env: Any, action: int) -> bool:
+    """Whether the agent will not face a cell beyond the grid, where the package's step fails."""
+    turn = {0: -1, 1: 1}.get(action, 0)
+    dx, dy = ((1, 0), (0, 1), (-1, 0), (0, -1))[(env.agent_dir + turn) % 4]
+    reach = 2 if action == 2 else 1
+    x, y = env.agent_pos[0] + reach * dx, env.agent_pos[1] + reach * dy
+    return 0 <= x < env.width and 0 <= y < env.height
 
 
 def scramble(env: Any, rng: np.random.Generator) -> None:
@@ -88,12 +103,14 @@ def scramble(env: Any, rng: np.random.Generator) -> None:
     if rng.random() < 0.5:
         passable = [
             (x, y)
-            for x in range(env.width)
-            for y in range(env.height)
+            for x in range(1, env.width - 1)
+            for y in range(1, env.height - 1)
             if env.grid.get(x, y) is None or env.grid.get(x, y).can_overlap()
         ]
         env.agent_pos = passable[rng.integers(len(passable))]
         env.agent_dir = int(rng.integers(4))
+    if rng.random() < 0.5:
+        face_something(env, rng)
     if rng.random() < 0.4:
         env.carrying = random_portable(rng)
     if rng.random() < 0.5:
@@ -108,6 +125,20 @@ def move_something(env: Any, rng: np.random.Generator) -> None:
     if empty and thing is not None and thing.type != "wall":
         env.grid.set(x, y, None)
         env.grid.grid[empty[rng.integers(len(empty))]] = thing
+
+
+def face_something(env: Any, rng: np.random.Generator) -> None:
+    """Puts the agent in front of a random thing that is no wall, if there is room."""
+    poses = []
+    for x, y in np.ndindex(env.width, env.height):
+        thing = env.grid.get(x, y)
+        for direction, (dx, dy) in enumerate(((1, 0), (0, 1), (-1, 0), (0, -1))):
+            here = x - dx, y - dy
+            inside = 0 < here[0] < env.width - 1 and 0 < here[1] < env.height - 1
+            if thing is not None and thing.type != "wall" and inside and not env.grid.get(*here):
+                poses.append((here, direction))
+    if poses:
+        env.agent_pos, env.agent_dir = poses[rng.integers(len(poses))]
 
 
 def random_portable(rng: np.random.Generator) -> Any:

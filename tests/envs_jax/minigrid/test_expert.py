@@ -288,11 +288,18 @@ def check_optimal(name: str, lanes: int, wandering: int, seed: int = 0) -> tuple
     return count_optimal(pomdp, state, results)
 
 
+# With many doors to open and shut, exhaustive search takes too long.
+MANY_DOORS = ("MiniGrid-MultiRoom", "MiniGrid-LockedRoom")
+DEMONSTRATED = [
+    name
+    for name in envs_jax.ids()
+    if name.startswith(("MiniGrid-", "BabyAI-")) and envs_jax.make(name).has_expert
+]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", envs_jax.ids())
+@pytest.mark.parametrize("name", [name for name in DEMONSTRATED if not name.startswith(MANY_DOORS)])
 def test_paths_are_shortest_in_every_world(name: str) -> None:
-    if not name.startswith(("MiniGrid-", "BabyAI-")):
-        pytest.skip("not a grid world")
     for wandering in (0, 40):
         equal, compared = check_optimal(name, 400, wandering, seed=1)
         assert compared >= 30
@@ -300,7 +307,7 @@ def test_paths_are_shortest_in_every_world(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", envs_jax.ids())
+@pytest.mark.parametrize("name", DEMONSTRATED)
 def test_solves_every_world_within_its_horizon(name: str) -> None:
     pomdp = envs_jax.make(name)
     runner = Runner(pomdp)
