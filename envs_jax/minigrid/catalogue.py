@@ -6,17 +6,26 @@ from functools import partial
 from typing import NamedTuple
 
 from envs_jax.minigrid.environment import GridWorld
+from envs_jax.minigrid.obstacles import ObstacleTask, ObstacleWorld
 from envs_jax.minigrid.rules import RuleTask
 from envs_jax.minigrid.samplers.babyai import GoToSampler, Target
 from envs_jax.minigrid.samplers.crossing import CrossingSampler
 from envs_jax.minigrid.samplers.dist_shift import DistShiftSampler
 from envs_jax.minigrid.samplers.door_key import DoorKeySampler
+from envs_jax.minigrid.samplers.dynamic_obstacles import DynamicObstaclesSampler
 from envs_jax.minigrid.samplers.empty import EmptySampler
 from envs_jax.minigrid.samplers.four_rooms import FourRoomsSampler
+from envs_jax.minigrid.samplers.go_to_door import GoToDoorSampler
+from envs_jax.minigrid.samplers.key_corridor import KeyCorridorSampler
 from envs_jax.minigrid.samplers.lava_gap import LavaGapSampler
 from envs_jax.minigrid.samplers.locked_room import LockedRoomSampler
+from envs_jax.minigrid.samplers.memory import MemorySampler
 from envs_jax.minigrid.samplers.multi_room import MultiRoomSampler
+from envs_jax.minigrid.samplers.objects import Errand, ObjectsSampler
+from envs_jax.minigrid.samplers.obstructed_maze import ObstructedMazeSampler
 from envs_jax.minigrid.samplers.playground import PlaygroundSampler
+from envs_jax.minigrid.samplers.red_blue_doors import RedBlueDoorsSampler
+from envs_jax.minigrid.samplers.unlock import UnlockSampler
 from envs_jax.minigrid.sensors import VIEW_SIZE, DirectionSensor, ImageSensor, MissionSensor
 from envs_jax.minigrid.tasks import GoalTask, InstructionTask
 from envs_jax.registry import register
@@ -54,7 +63,7 @@ class _World(NamedTuple):
     sampler: TaskSampler
     width: int
     height: int
-    task: type[GoalTask] | type[RuleTask] = GoalTask
+    task: type[GoalTask] | type[RuleTask] | type[ObstacleTask] = GoalTask
     environment: Environment | None = None
     see_through_walls: bool = False
 
@@ -107,6 +116,46 @@ _DOOR_KEY_SIZES = (5, 6, 8, 16)
 _CROSSINGS = ((9, 1), (9, 2), (9, 3), (11, 5))
 # Rooms and their largest size. The four in N4-S5-v0 were always six.
 _MULTI_ROOMS = {"N2-S4-v0": (2, 4), "N4-S5-v0": (6, 5), "N4-S5-v1": (4, 5), "N6-v0": (6, 10)}
+# What to do, size, number of objects, horizon. That of PutNear is in proportion to the side.
+_ERRANDS: dict[str, tuple[Errand, int, int, int]] = {
+    "Fetch-5x5-N2-v0": ("fetch", 5, 2, 125),
+    "Fetch-6x6-N2-v0": ("fetch", 6, 2, 180),
+    "Fetch-8x8-N3-v0": ("fetch", 8, 3, 320),
+    "GoToObject-6x6-N2-v0": ("go to", 6, 2, 180),
+    "GoToObject-8x8-N2-v0": ("go to", 8, 2, 320),
+    "PutNear-6x6-N2-v0": ("put near", 6, 2, 30),
+    "PutNear-8x8-N3-v0": ("put near", 8, 3, 40),
+}
+# Size and number of obstacles.
+_OBSTACLES = {
+    "5x5": (5, 2),
+    "6x6": (6, 3),
+    "8x8": (8, 4),
+    "16x16": (16, 8),
+    "Random-5x5": (5, 2),
+    "Random-6x6": (6, 3),
+}
+# Room size and rows.
+_KEY_CORRIDORS = ((3, 1), (3, 2), (3, 3), (4, 3), (5, 3), (6, 3))
+_UNLOCKS = {
+    "Unlock-v0": UnlockSampler(288),
+    "UnlockPickup-v0": UnlockSampler(288, pickup=True),
+    "BlockedUnlockPickup-v0": UnlockSampler(576, pickup=True, blocked=True),
+}
+# Open quarters, horizon, room of the agent, keys in boxes, balls before locked doors.
+_OBSTRUCTED_MAZES: dict[str, tuple[int, int, tuple[int, int], bool, bool]] = {
+    "1Dl": (0, 288, (0, 0), False, False),
+    "1Dlh": (0, 288, (0, 0), True, False),
+    "1Dlhb": (0, 288, (0, 0), True, True),
+    "2Dl": (1, 576, (2, 1), False, False),
+    "2Dlh": (1, 576, (2, 1), True, False),
+    "2Dlhb": (1, 576, (2, 1), True, True),
+    "1Q": (1, 720, (1, 1), True, True),
+    "2Q": (2, 1584, (2, 1), True, True),
+    "Full": (4, 3600, (1, 1), True, True),
+}
+# Those of which there is a version 1, in which keys are never lost.
+_OBSTRUCTED_MAZES_V1 = ("2Dlhb", "1Q", "2Q", "Full")
 
 
 def _goal_worlds() -> dict[str, _World]:
@@ -141,12 +190,55 @@ def _rule_worlds() -> dict[str, _World]:
     """Returns the worlds in which there is something else to do, by name."""
     worlds = {}
     worlds["Playground-v0"] = _World(PlaygroundSampler(100), 19, 19, RuleTask)
+    for name, (errand, size, objects, max_steps) in _ERRANDS.items():
+        sampler = ObjectsSampler(size, objects, max_steps, errand)
+        worlds[name] = _World(sampler, size, size, RuleTask, see_through_walls=True)
+    for size in (5, 6, 8):
+        doors = GoToDoorSampler(size, 4 * size**2)
+        name = f"GoToDoor-{size}x{size}-v0"
+        worlds[name] = _World(doors, size, size, RuleTask, see_through_walls=True)
+    for size in (6, 8):
+        in_turn = RedBlueDoorsSampler(size, 20 * size**2)
+        worlds[f"RedBlueDoors-{size}x{size}-v0"] = _World(in_turn, 2 * size, size, RuleTask)
+    for size, name in ((7, ""), (9, ""), (11, ""), (13, ""), (13, "Random"), (17, "Random")):
+        memory = MemorySampler(size, 5 * size**2, name == "Random")
+        hands_free = GridWorld(size, size, pickup_toggles=True)
+        worlds[f"MemoryS{size}{name}-v0"] = _World(memory, size, size, RuleTask, hands_free)
+    return worlds
+
+
+def _obstacle_worlds() -> dict[str, _World]:
+    """Returns the worlds with balls that roam, by name."""
+    worlds = {}
+    for name, (size, obstacles) in _OBSTACLES.items():
+        random_start = name.startswith("Random")
+        sampler = DynamicObstaclesSampler(size, obstacles, 4 * size**2, random_start)
+        environment = ObstacleWorld(size, size)
+        worlds[f"Dynamic-Obstacles-{name}-v0"] = _World(
+            sampler, size, size, ObstacleTask, environment, see_through_walls=True
+        )
+    return worlds
+
+
+def _room_grid_worlds() -> dict[str, _World]:
+    """Returns the worlds with a grid of rooms in which there is no goal square, by name."""
+    worlds = {name: _World(sampler, 11, 6, RuleTask) for name, sampler in _UNLOCKS.items()}
+    for size, rows in _KEY_CORRIDORS:
+        corridor = KeyCorridorSampler(size, rows, 30 * size**2)
+        extent = corridor.grid.width, corridor.grid.height
+        worlds[f"KeyCorridorS{size}R{rows}-v0"] = _World(corridor, *extent, RuleTask)
+    for name, options in _OBSTRUCTED_MAZES.items():
+        for version in (0, 1) if name in _OBSTRUCTED_MAZES_V1 else (0,):
+            maze = ObstructedMazeSampler(*options, keys_last=version == 1)
+            extent = maze.grid.width, maze.grid.height
+            worlds[f"ObstructedMaze-{name}-v{version}"] = _World(maze, *extent, RuleTask)
     return worlds
 
 
 def register_all() -> None:
     """Registers every grid world under Farama's id; all take the option `view_size`."""
-    for name, world in (_goal_worlds() | _rule_worlds()).items():
+    worlds = _goal_worlds() | _rule_worlds() | _room_grid_worlds() | _obstacle_worlds()
+    for name, world in worlds.items():
         register(f"MiniGrid-{name}", partial(_grid_world, world))
     for name, (size, objects, target) in _GO_TO.items():
         sampler = GoToSampler(size, objects, size**2, target)

@@ -206,6 +206,13 @@ class RoomGrid:
             joined=layout.joined.at[axis, column, row].set(True),
         )
 
+    def put(self, layout: Layout, cell: jax.Array, code: Int) -> Layout:
+        """Puts a tile into a cell int32[2], whatever is there."""
+        return layout._replace(
+            plane=layout.plane.at[cell[0], cell[1]].set(jnp.asarray(code, jnp.uint8)),
+            marks=layout.marks.at[cell[0], cell[1]].set(jnp.uint16(0)),
+        )
+
     def place(
         self, layout: Layout, room: Room, code: Int, draw: jax.Array, mark: Int = 0
     ) -> tuple[Layout, jax.Array]:

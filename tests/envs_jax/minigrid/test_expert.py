@@ -14,11 +14,12 @@ import minigrid  # noqa: F401  (registers its environments)
 import numpy as np
 import pytest
 from minigrid.core.world_object import Ball, Box
+from minigrid_reference import embed
 
 import envs_jax
 from envs_jax.minigrid import interop, tiles
 from envs_jax.minigrid.environment import GridWorld
-from envs_jax.minigrid.state import PADDING, GridState
+from envs_jax.minigrid.state import PADDING
 from envs_jax.minigrid.tasks import GoalTask, InstructionTask
 from jaxact.pomdp import POMDP, State
 
@@ -187,20 +188,6 @@ def count_optimal(pomdp: POMDP, state: State, results: tuple[Any, Any]) -> tuple
             compared += 1
             equal += int(steps[lane] == best and valid[lane])
     return equal, compared
-
-
-def embed(world: GridState, width: int, height: int, size: int) -> GridState:
-    """Puts a W × H world into the corner of a size × size one, so that one program serves all."""
-    wall = jnp.uint8(tiles.WALL_TILE)
-
-    def enlarge(plane: jax.Array, fill: Any) -> jax.Array:
-        square = plane.reshape(width + 2 * PADDING, height + 2 * PADDING)
-        more = ((0, size - width), (0, size - height))
-        return jnp.pad(square, more, constant_values=fill).reshape(-1)
-
-    return replace(
-        world, tiles=enlarge(world.tiles, wall), marks=enlarge(world.marks, jnp.uint16(0))
-    )
 
 
 def live_states(names: list[str], size: int, seeds: int) -> State:
