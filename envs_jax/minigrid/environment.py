@@ -38,19 +38,23 @@ def heading(direction: jax.Array) -> jax.Array:
     return axes * (1 - (direction & 2))
 
 
+def cell_index(position: jax.Array, height: int) -> jax.Array:
+    """Returns the int32 index, in a plane laid out flat, of cell `position` (int32[2])."""
+    return (position[0] + PADDING) * (height + 2 * PADDING) + position[1] + PADDING
+
+
 def front_index(state: GridState, height: int) -> jax.Array:
     """Returns the int32 index, in a plane laid out flat, of the cell that the agent faces."""
-    x, y = state.position + heading(state.direction) + PADDING
-    return x * (height + 2 * PADDING) + y
+    return cell_index(state.position + heading(state.direction), height)
 
 
 def at_index(plane: jax.Array, index: jax.Array) -> jax.Array:
-    """Reads a cell of a plane, by its index in the plane laid out flat."""
+    """Reads cells of a plane, by their indices in the plane laid out flat."""
     return plane.reshape(-1)[index]
 
 
 def with_index(plane: jax.Array, index: jax.Array, value: jax.Array) -> jax.Array:
-    """Returns the plane with another value in one cell, by its index in the plane laid out flat."""
+    """Returns the plane with other values in some cells, by their indices in it laid out flat."""
     return plane.reshape(-1).at[index].set(value).reshape(plane.shape)
 
 
@@ -61,10 +65,13 @@ class GridWorld(Environment):
     Actions are MiniGrid's seven: left, right, forward, pickup, drop, toggle, done (numbers outside
     0 … 6 do nothing). Nothing is random and nothing ends here: goals and lava are passable cells,
     their meaning is a task's business. Source: `MiniGridEnv.step` of minigrid 3.2.0.
+
+    With `pickup_toggles` the action pickup does what toggle does, as in MiniGrid's Memory worlds.
     """
 
     width: int
     height: int
+    pickup_toggles: bool = False
 
     @property
     def action_names(self) -> tuple[str, ...]:
@@ -80,6 +87,8 @@ class GridWorld(Environment):
         """Returns the state after one action; `key` is not used."""
         del key
         action = jnp.asarray(action, jnp.int32)
+        if self.pickup_toggles:
+            action = jnp.where(action == PICKUP, TOGGLE, action)
         front = front_index(state, self.height)
         tile, mark = at_index(state.tiles, front), at_index(state.marks, front)
         empty_handed = state.carrying == 0

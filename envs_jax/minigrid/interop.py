@@ -11,11 +11,15 @@ import numpy as np
 
 from envs_jax.minigrid import tiles
 from envs_jax.minigrid.catalogue import compose
+from envs_jax.minigrid.environment import GridWorld
 from envs_jax.minigrid.missions import COLOR_WORDS, encode_mission
+from envs_jax.minigrid.obstacles import ObstacleState, ObstacleTask, ObstacleWorld
+from envs_jax.minigrid.rule_import import import_rule
+from envs_jax.minigrid.rules import RuleTask
 from envs_jax.minigrid.state import CONTENTS_SHIFT, PADDING, GridState
 from envs_jax.minigrid.tasks import GoalState, GoalTask, InstructionState, InstructionTask
 from jaxact.errors import JaxactError
-from jaxact.pomdp import POMDP, Episode, PyTree, State, Task, TaskSampler
+from jaxact.pomdp import POMDP, Environment, Episode, PyTree, State, Task, TaskSampler
 
 _KINDS = {
     "wall": tiles.WALL,
@@ -69,7 +73,8 @@ def from_minigrid(env: Any) -> tuple[POMDP, State]:
 
     Returns:
       The POMDP, whose sampler yields this very episode (what is left of it), and its state. Goal
-      worlds come out with a `GoalTask`, BabyAI's GoTo levels with an `InstructionTask`.
+      worlds come out with a `GoalTask`, BabyAI's GoTo levels with an `InstructionTask`,
+      Dynamic-Obstacles with an `ObstacleTask`, MiniGrid's other worlds with a `RuleTask`.
 
     Raises:
       JaxactError: `env` is no such environment, or follows rules that are not supported, or holds
@@ -82,12 +87,13 @@ def from_minigrid(env: Any) -> tuple[POMDP, State]:
     if env.agent_pos is None:
         raise JaxactError(f"{_name(env)} was never reset; call env.reset() before from_minigrid")
     task, task_state, description = _import_task(env)
-    world = _import_grid(env, description)
+    environment, world = _import_environment(env, _import_grid(env, description))
     pomdp = compose(
         task,
         FixedSampler.of(Episode(world, task_state, jnp.int32(env.max_steps - env.step_count))),
         env.width,
         env.height,
+        environment=environment,
         see_through_walls=bool(env.see_through_walls),
         view_size=int(env.agent_view_size),
     )
@@ -99,26 +105,45 @@ def _name(env: Any) -> str:
     return env.spec.id if env.spec is not None else type(env).__name__
 
 
+def _import_environment(env: Any, world: GridState) -> tuple[Environment, GridState]:
+    """Returns the environment, and its state, of which `world` is what all of them have."""
+    from minigrid.envs import DynamicObstaclesEnv, MemoryEnv
+
+    size = (int(env.width), int(env.height))
+    if type(env).step is DynamicObstaclesEnv.step:
+        obstacles = [ball.cur_pos for ball in env.obstacles]
+        return ObstacleWorld(*size), ObstacleState.of(world, jnp.asarray(obstacles, jnp.int32))
+    return GridWorld(*size, pickup_toggles=type(env).step is MemoryEnv.step), world
+
+
 def _import_task(env: Any) -> tuple[Task, PyTree, Any]:
     """Returns the task, its state, and the description of the objects to go to (or None)."""
+    from minigrid.envs import DynamicObstaclesEnv
     from minigrid.envs.babyai.core.roomgrid_level import RoomGridLevel
-    from minigrid.envs.babyai.core.verifier import GoToInstr
+    from minigrid.envs.babyai.core.verifier import GoToInstr, ObjDesc
     from minigrid.minigrid_env import MiniGridEnv
 
     size = (int(env.width), int(env.height))
     steps, max_steps = jnp.int32(env.step_count), jnp.int32(env.max_steps)
+    known = import_rule(env)
+    if known is not None:
+        # Described as an instruction does that means this very object, whatever it looks like.
+        description = ObjDesc(None)
+        description.obj_set = [] if known.tracked is None else [known.tracked]
+        return RuleTask(*size), known.state(env), description
     rule = type(env).step
-    if rule is MiniGridEnv.step:
+    if rule in (MiniGridEnv.step, DynamicObstaclesEnv.step):
+        task = GoalTask(*size) if rule is MiniGridEnv.step else ObstacleTask(*size)
         mission = jnp.asarray(encode_mission(env.mission))
-        return GoalTask(*size), GoalState(steps, max_steps, mission), None
+        return task, GoalState(steps, max_steps, mission), None
     if rule is RoomGridLevel.step and type(env.instrs) is GoToInstr:
         mission = jnp.asarray(encode_mission(env.mission))
         ghosts = jnp.asarray(_ghosts(env, env.instrs.desc))
         state = InstructionState(steps, max_steps, mission, ghosts)
         return InstructionTask(*size), state, env.instrs.desc
     raise JaxactError(
-        f"{_name(env)} ends by rules that from_minigrid does not know; supported are worlds that "
-        "end at a goal square (those that keep MiniGridEnv.step) and BabyAI levels whose "
+        f"{_name(env)} ends by rules that from_minigrid does not know; supported are the worlds "
+        "registered as MiniGrid-…, others that keep MiniGridEnv.step, and BabyAI levels whose "
         "instruction is one GoTo"
     )
 

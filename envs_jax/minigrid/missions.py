@@ -1,6 +1,7 @@
 """Missions as tokens: the words of every MiniGrid and BabyAI mission, numbered.
 
-Inside compiled code a mission is made from data (`go_to`), never from text; text is for people.
+Inside compiled code a mission is made from data (`go_to`, `fill`), never from text; text is for
+people.
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ reach red right room rooms square the then to traverse unlock up use yellow you 
 """
 VOCABULARY = ("<pad>", *sorted(_WORDS.split()))
 VOCABULARY_SIZE = len(VOCABULARY)
-# The longest mission of the registered worlds, "use the key to open the door and then get to the
-# goal". All worlds share it, so that their observations stack.
-MISSION_LENGTH = 13
+# The longest mission of the registered worlds, LockedRoom's. All worlds share it, so that their
+# observations stack.
+MISSION_LENGTH = 18
 
 _TOKENS = {word: token for token, word in enumerate(VOCABULARY)}
 _KIND_WORDS = {tiles.KEY: "key", tiles.BALL: "ball", tiles.BOX: "box", tiles.OPEN_DOOR: "door"}
@@ -92,3 +93,23 @@ def go_to(kind: jax.Array, color: jax.Array, several: jax.Array) -> jax.Array:
         jnp.asarray(KIND_TOKENS)[kind],
     ]
     return jnp.pad(jnp.stack(words), (0, MISSION_LENGTH - len(words)), constant_values=PAD)
+
+
+def fill(template: str, *words: jax.Array) -> jax.Array:
+    """Returns the tokens int32[MISSION_LENGTH] of a sentence whose words are partly computed.
+
+    Args:
+      template: the sentence; "{0}", "{1}" … are words of their own and stand for `words`.
+      *words: their tokens, int32 scalars.
+
+    Raises:
+      JaxactError: a word is not in the vocabulary, or the sentence is too long.
+    """
+    places = [f"{{{number}}}" for number in range(len(words))]
+    text = template.replace(",", " ,").split()
+    known = encode_mission(" ".join("a" if word in places else word for word in text))
+    tokens = jnp.asarray(known)
+    for place, word in zip(places, words, strict=True):
+        spots = np.array([spot == place for spot in text] + [False] * (len(known) - len(text)))
+        tokens = jnp.where(spots, word, tokens)
+    return tokens

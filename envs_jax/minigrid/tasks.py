@@ -55,12 +55,13 @@ class InstructionState:
     ghosts: jax.Array
 
 
-def _success_reward(slope: float, steps: jax.Array, max_steps: jax.Array) -> jax.Array:
+def success_reward(slope: float, steps: jax.Array, max_steps: jax.Array) -> jax.Array:
+    """Returns MiniGrid's reward of success, 1 − `slope` · steps / max_steps."""
     share = steps.astype(jnp.float32) / max_steps.astype(jnp.float32)
     return 1 - jnp.asarray(slope, jnp.float32) * share
 
 
-def _entered(
+def entered(
     before: GridState, action: jax.Array, after: GridState, height: int
 ) -> tuple[jax.Array, jax.Array]:
     """Returns two bools: whether the step led onto a goal square, and onto lava.
@@ -88,8 +89,8 @@ class GoalTask(Task):
     ) -> tuple[GoalState, Outcome]:
         """Judges one step; see `Task.step`."""
         task_state = replace(task_state, steps=task_state.steps + 1)
-        goal, lava = _entered(before, action, after, self.height)
-        reward = _success_reward(self.slope, task_state.steps, task_state.max_steps)
+        goal, lava = entered(before, action, after, self.height)
+        reward = success_reward(self.slope, task_state.steps, task_state.max_steps)
         return task_state, Outcome(
             reward={"success": jnp.where(goal, reward, jnp.float32(0))},
             success={"goal": goal},
@@ -124,8 +125,8 @@ class InstructionTask(Task):
         faced = self._tracked(after, front_index(after, self.height))
         done = (faced ^ self._pick(ghosts, after)) == 1
         # No level has a goal square or lava, but worlds are free to.
-        goal, lava = _entered(before, action, after, self.height)
-        reward = _success_reward(self.slope, task_state.steps, task_state.max_steps)
+        goal, lava = entered(before, action, after, self.height)
+        reward = success_reward(self.slope, task_state.steps, task_state.max_steps)
         return task_state, Outcome(
             reward={"success": jnp.where(done | goal, reward, jnp.float32(0))},
             success={"instruction": done},

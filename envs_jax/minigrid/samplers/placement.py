@@ -6,7 +6,7 @@ is of fixed size: a cell is chosen by its rank among the free ones, never by try
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from envs_jax.minigrid import tiles
+from envs_jax.minigrid.rules import RuleState
 from envs_jax.minigrid.state import PADDING, GridState
 from envs_jax.minigrid.tasks import GoalState
 from jaxact.compaction import for_each_chosen
@@ -35,7 +36,7 @@ def uniform_int(draw: jax.Array, low: jax.Array | int, high: jax.Array | int) ->
     return jnp.asarray(low, jnp.int32) + rank
 
 
-def split_draw(draw: jax.Array, count: int) -> tuple[jax.Array, jax.Array]:
+def split_draw(draw: jax.Array, count: jax.Array | int) -> tuple[jax.Array, jax.Array]:
     """Turns a uniform `draw` in [0, 1) into a uniform int32 below `count` and another such draw.
 
     For small counts: what is left of the 23 random bits must do for the second draw.
@@ -165,7 +166,7 @@ def grid_state(
     plane: jax.Array,
     position: jax.Array,
     direction: jax.Array,
-    tracked: jax.Array | None = None,
+    marks: jax.Array | None = None,
 ) -> GridState:
     """Returns the first state of a level, the agent's hands empty.
 
@@ -173,10 +174,10 @@ def grid_state(
       plane: uint8[width, height] of packed tiles.
       position: int32[2].
       direction: int32 scalar.
-      tracked: bool[width, height], where the objects are that description 0 tracks; none when left
-        out.
+      marks: uint16[width, height], see `GridState.marks`; none when left out.
     """
-    marks = jnp.zeros(plane.shape, jnp.uint16) if tracked is None else tracked.astype(jnp.uint16)
+    if marks is None:
+        marks = jnp.zeros(plane.shape, jnp.uint16)
     return GridState(
         tiles=jnp.pad(plane, PADDING, constant_values=tiles.WALL_TILE),
         marks=jnp.pad(marks, PADDING),
@@ -187,7 +188,40 @@ def grid_state(
     )
 
 
-def goal_episode(state: GridState, mission: np.ndarray, max_steps: int) -> Episode:
+def goal_episode(state: GridState, mission: np.ndarray | jax.Array, max_steps: int) -> Episode:
     """Returns the episode of a `GoalTask` that begins in `state`."""
     horizon = jnp.int32(max_steps)
     return Episode(state, GoalState(jnp.int32(0), horizon, jnp.asarray(mission)), horizon)
+
+
+def rule_episode(
+    state: GridState,
+    rule: int,
+    mission: np.ndarray | jax.Array,
+    max_steps: int,
+    *,
+    target: jax.Array | int = 0,
+    cells: Sequence[jax.Array] = (),
+) -> Episode:
+    """Returns the episode of a `RuleTask` that begins in `state`, its doors shut.
+
+    Args:
+      state: the world.
+      rule: see `rules`.
+      mission: int32[MISSION_LENGTH] tokens.
+      max_steps: the horizon.
+      target: packed tile of what the rule is about, if anything.
+      cells: up to two cells int32[2] that the rule is about.
+    """
+    horizon = jnp.int32(max_steps)
+    nowhere = [jnp.zeros(2, jnp.int32)] * (2 - len(cells))
+    task = RuleState(
+        steps=jnp.int32(0),
+        max_steps=horizon,
+        mission=jnp.asarray(mission),
+        rule=jnp.int32(rule),
+        target=jnp.asarray(target, jnp.uint8),
+        cells=jnp.stack([*cells, *nowhere]),
+        opened=jnp.zeros(2, bool),
+    )
+    return Episode(state, task, horizon)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -16,7 +17,10 @@ import numpy as np
 from minigrid.core.world_object import Ball, Box, Door, Floor, Goal, Key, Lava, Wall
 
 from envs_jax import minigrid as jax_minigrid
-from envs_jax.minigrid import interop
+from envs_jax.minigrid import interop, tiles
+from envs_jax.minigrid.obstacles import ObstacleWorld
+from envs_jax.minigrid.state import GridState
+from envs_jax.minigrid.tasks import InstructionTask
 from jaxact.pomdp import POMDP, State
 
 COLORS = ("red", "green", "blue", "purple", "yellow", "grey")
@@ -40,10 +44,15 @@ class Recording:
     first: dict[str, Any]
     answers: dict[str, np.ndarray]
     missions: list[str]
+    # Where obstacles went, [step, obstacle, 2]; no world without them has any.
+    moves: np.ndarray
 
 
 def python_env(name: str, **options: Any) -> Any:
-    return gymnasium.make(name, disable_env_checker=True, **options).unwrapped
+    with warnings.catch_warnings():
+        # Gymnasium deprecates every id of which there is a newer version.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return gymnasium.make(name, disable_env_checker=True, **options).unwrapped
 
 
 def play(
@@ -53,16 +62,18 @@ def play(
     env.reset(seed=seed)
     weights = np.array(list(MOODS.values())[rng.integers(len(MOODS))], float)
     draw = partial(rng.choice, 7, p=weights / weights.sum())
-    for _ in range(prefix):
-        env.step(draw())
+    for action in draw(size=prefix):
+        if stays_inside(env, action):
+            env.step(action)
     if scrambled:
         scramble(env, rng)
     pomdp, state = interop.from_minigrid(env)
     first = env.gen_obs()
     actions = draw(size=STEPS)
     answers = defaultdict(list)
-    missions = []
-    for action in actions:
+    missions, moves = [], []
+    for step in range(STEPS):
+        action = actions[step] = actions[step] if stays_inside(env, actions[step]) else 6
         observation, reward, terminated, truncated, _ = env.step(action)
         answers["image"].append(observation["image"])
         answers["direction"].append(observation["direction"])
@@ -70,8 +81,18 @@ def play(
         answers["terminated"].append(terminated)
         answers["truncated"].append(truncated)
         missions.append(observation["mission"])
+        moves.append([ball.cur_pos for ball in getattr(env, "obstacles", [])])
     stacked = {name: np.array(values) for name, values in answers.items()}
-    return Recording(pomdp, state, actions, first, stacked, missions)
+    return Recording(pomdp, state, actions, first, stacked, missions, np.array(moves, np.int32))
+
+
+def stays_inside(env: Any, action: int) -> bool:
+    """Whether the agent will not face a cell beyond the grid, where the package's step fails."""
+    turn = {0: -1, 1: 1}.get(action, 0)
+    dx, dy = ((1, 0), (0, 1), (-1, 0), (0, -1))[(env.agent_dir + turn) % 4]
+    reach = 2 if action == 2 else 1
+    x, y = env.agent_pos[0] + reach * dx, env.agent_pos[1] + reach * dy
+    return 0 <= x < env.width and 0 <= y < env.height
 
 
 def scramble(env: Any, rng: np.random.Generator) -> None:
@@ -88,14 +109,18 @@ def scramble(env: Any, rng: np.random.Generator) -> None:
     if rng.random() < 0.5:
         passable = [
             (x, y)
-            for x in range(env.width)
-            for y in range(env.height)
+            for x in range(1, env.width - 1)
+            for y in range(1, env.height - 1)
             if env.grid.get(x, y) is None or env.grid.get(x, y).can_overlap()
         ]
         env.agent_pos = passable[rng.integers(len(passable))]
         env.agent_dir = int(rng.integers(4))
+    if rng.random() < 0.5:
+        face_something(env, rng)
     if rng.random() < 0.4:
         env.carrying = random_portable(rng)
+    elif rng.random() < 0.4:
+        take_something(env, rng)
     if rng.random() < 0.5:
         env.max_steps = env.step_count + int(rng.integers(1, STEPS))
 
@@ -108,6 +133,32 @@ def move_something(env: Any, rng: np.random.Generator) -> None:
     if empty and thing is not None and thing.type != "wall":
         env.grid.set(x, y, None)
         env.grid.grid[empty[rng.integers(len(empty))]] = thing
+
+
+def face_something(env: Any, rng: np.random.Generator) -> None:
+    """Puts the agent in front of a random thing that is no wall, if there is room."""
+    poses = []
+    for x, y in np.ndindex(env.width, env.height):
+        thing = env.grid.get(x, y)
+        for direction, (dx, dy) in enumerate(((1, 0), (0, 1), (-1, 0), (0, -1))):
+            here = x - dx, y - dy
+            inside = 0 < here[0] < env.width - 1 and 0 < here[1] < env.height - 1
+            if thing is not None and thing.type != "wall" and inside and not env.grid.get(*here):
+                poses.append((here, direction))
+    if poses:
+        env.agent_pos, env.agent_dir = poses[rng.integers(len(poses))]
+
+
+def take_something(env: Any, rng: np.random.Generator) -> None:
+    """Puts a random thing of the grid, if there is one, into the agent's hands."""
+    places = [
+        index
+        for index, thing in enumerate(env.grid.grid)
+        if thing is not None and thing.can_pickup() and thing not in getattr(env, "obstacles", [])
+    ]
+    if places:
+        index = places[rng.integers(len(places))]
+        env.carrying, env.grid.grid[index] = env.grid.grid[index], None
 
 
 def random_portable(rng: np.random.Generator) -> Any:
@@ -123,26 +174,76 @@ def random_thing(rng: np.random.Generator) -> Any:
     return random_portable(rng) if rng.random() < 0.6 else scenery[rng.integers(len(scenery))]
 
 
+class ScriptedObstacles(ObstacleWorld):
+    """Obstacles whose moves are given, in the place of a key."""
+
+    def draw_moves(self, key: jax.Array, state: Any) -> jax.Array:
+        return key
+
+
 @partial(jax.jit, static_argnums=0)
-def _replay(pomdp: POMDP, states: State, actions: jax.Array) -> tuple[Any, Any]:
-    def one(state: State, actions: jax.Array) -> tuple[Any, Any]:
-        key = jax.random.key(0)
-        _, steps = jax.lax.scan(lambda s, a: pomdp.step(key, s, a), state, actions)
+def _replay(pomdp: POMDP, states: State, actions: jax.Array, moves: jax.Array) -> tuple[Any, Any]:
+    world = pomdp.environment
+    if isinstance(world, ObstacleWorld):
+        pomdp = replace(pomdp, environment=ScriptedObstacles(world.width, world.height))
+
+    def one(state: State, actions: jax.Array, moves: jax.Array) -> tuple[Any, Any]:
+        _, steps = jax.lax.scan(lambda s, x: pomdp.step(x[1], s, x[0]), state, (actions, moves))
         return pomdp.observe(state), steps
 
-    return jax.vmap(one)(states, actions)
+    return jax.vmap(one)(states, actions, moves)
 
 
-def compare(recordings: Iterable[Recording]) -> int:
-    """Replays the recordings, asserts that all agrees; returns the number of compared steps."""
+def embed(world: GridState, width: int, height: int, size: int) -> GridState:
+    """Puts a W × H world into the corner of a size × size one, so that one program serves all."""
+    wall = jnp.uint8(tiles.WALL_TILE)
+
+    def enlarge(plane: jax.Array, fill: Any) -> jax.Array:
+        more = ((0, size - width), (0, size - height))
+        return jnp.pad(plane, more, constant_values=fill)
+
+    return replace(
+        world, tiles=enlarge(world.tiles, wall), marks=enlarge(world.marks, jnp.uint16(0))
+    )
+
+
+def embedded(recording: Recording, size: int) -> Recording:
+    """Puts the world of a recording into the corner of a larger one, with nothing but walls round.
+
+    That makes no difference, but for the program that is compiled: one serves worlds of all sizes.
+    Instructions are left alone.
+    """
+    pomdp, state = recording.pomdp, recording.state
+    width, height = pomdp.environment.width, pomdp.environment.height
+    if isinstance(pomdp.task, InstructionTask) or max(width, height) > size:
+        return recording
+    sensors = dict(pomdp.sensors)
+    sensors["image"] = replace(sensors["image"], width=size, height=size)
+    pomdp = replace(
+        pomdp,
+        environment=replace(pomdp.environment, width=size, height=size),
+        task=replace(pomdp.task, width=size, height=size),
+        sensors=sensors,
+    )
+    world = embed(state.environment, width, height, size)
+    return replace(recording, pomdp=pomdp, state=replace(state, environment=world))
+
+
+def compare(recordings: Iterable[Recording], size: int = 0) -> int:
+    """Replays the recordings, asserts that all agrees; returns the number of compared steps.
+
+    With a `size`, worlds are `embedded`.
+    """
     groups: dict[Any, list[Recording]] = defaultdict(list)
-    for recording in recordings:
-        groups[replace(recording.pomdp, sampler=None)].append(recording)
+    for recording in (embedded(recording, size) for recording in recordings):
+        key = replace(recording.pomdp, sampler=None), recording.moves.shape
+        groups[key].append(recording)
     compared = 0
-    for pomdp, group in groups.items():
+    for (pomdp, _), group in groups.items():
         states = jax.tree.map(lambda *leaves: np.stack(leaves), *[one.state for one in group])
         actions = jnp.asarray(np.stack([one.actions for one in group]), jnp.int32)
-        first, steps = jax.device_get(_replay(pomdp, states, actions))
+        moves = jnp.asarray(np.stack([one.moves for one in group]))
+        first, steps = jax.device_get(_replay(pomdp, states, actions, moves))
         for lane, recording in enumerate(group):
             _check(recording, lane, first, steps)
             compared += len(recording.actions)

@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium
 import jax
 import numpy as np
 import pytest
 from minigrid.core.actions import Actions
 from minigrid.core.world_object import Ball, Box
+from minigrid.envs import EmptyEnv
 from minigrid_reference import python_env
 
 from envs_jax.minigrid import interop
@@ -53,13 +56,29 @@ def test_stale_beliefs_last_until_the_next_drop():
     assert results == [True, True, False, True, False]
 
 
+class OwnRules(EmptyEnv):
+    """A world whose ends nobody knows."""
+
+    def step(self, action: int) -> Any:
+        return super().step(action)
+
+
+def reset(env: Any) -> Any:
+    env.reset(seed=0)
+    return env
+
+
 def test_what_cannot_be_imported_is_named():
     fetch = gymnasium.make("MiniGrid-Fetch-5x5-N2-v0", disable_env_checker=True)
     fetch.reset(seed=0)
     with pytest.raises(JaxactError, match=r"unwrapped.*OrderEnforcing"):
         interop.from_minigrid(fetch)
-    with pytest.raises(JaxactError, match="MiniGrid-Fetch-5x5-N2-v0 ends by rules"):
-        interop.from_minigrid(fetch.unwrapped)
+    with pytest.raises(JaxactError, match="OwnRules ends by rules"):
+        interop.from_minigrid(reset(OwnRules(size=5)))
+    doors = reset(python_env("MiniGrid-RedBlueDoors-6x6-v0"))
+    doors.grid.grid[doors.grid.grid.index(doors.red_door)] = None
+    with pytest.raises(JaxactError, match="of RedBlueDoorEnv has lost the red door"):
+        interop.from_minigrid(doors)
     env = python_env("BabyAI-Open-v0")
     env.reset(seed=0)
     with pytest.raises(JaxactError, match="BabyAI-Open-v0 ends by rules"):

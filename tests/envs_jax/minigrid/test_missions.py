@@ -6,10 +6,12 @@ import pytest
 
 from envs_jax.minigrid import decode_mission, encode_mission, tiles
 from envs_jax.minigrid.missions import (
+    COLOR_TOKENS,
     MISSION_LENGTH,
     PAD,
     VOCABULARY,
     VOCABULARY_SIZE,
+    fill,
     go_to,
 )
 from jaxact.errors import JaxactError
@@ -20,6 +22,7 @@ from jaxact.errors import JaxactError
     [
         "reach the goal",
         "use the key to open the door and then get to the goal",
+        "get the red key from the grey room, unlock the red door and go to the goal",
         "open the red door, then go to a ball",
         "",
     ],
@@ -44,11 +47,20 @@ def test_go_to_speaks_as_the_package_does():
     assert decode_mission(tokens) == "go to a purple key"
 
 
+def test_templates_are_filled():
+    red, grey = (jnp.asarray(COLOR_TOKENS)[color] for color in (tiles.RED, tiles.GREY))
+    tokens = fill("get the {0} key from the {1} room, unlock the {0} door", red, grey)
+    assert tokens.dtype == jnp.int32
+    assert decode_mission(tokens) == "get the red key from the grey room, unlock the red door"
+    with pytest.raises(JaxactError, match="unknown mission word"):
+        fill("go to the {1} ball", red)
+
+
 def test_bad_missions_are_refused_with_a_reason():
     with pytest.raises(JaxactError, match="unknown mission word 'blu'; the nearest is 'blue'"):
         encode_mission("go to the blu ball")
-    with pytest.raises(JaxactError, match="has 14 words"):
-        encode_mission("go " * 14)
+    with pytest.raises(JaxactError, match="has 19 words"):
+        encode_mission("go " * 19)
     with pytest.raises(JaxactError, match="one row of tokens"):
         decode_mission(np.zeros((2, MISSION_LENGTH), np.int32))
     with pytest.raises(JaxactError, match="one row of tokens"):

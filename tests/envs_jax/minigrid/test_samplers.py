@@ -16,9 +16,12 @@ from minigrid_reference import python_env
 from scipy.stats import chi2_contingency
 
 import envs_jax
-from envs_jax.minigrid import decode_mission, tiles
+from envs_jax.minigrid import decode_mission, rules, tiles
+from envs_jax.minigrid.missions import COLOR_WORDS
+from envs_jax.minigrid.rule_import import ImportedRule, import_rule
+from envs_jax.minigrid.rules import RuleTask
 from envs_jax.minigrid.samplers import placement
-from envs_jax.minigrid.state import PADDING
+from envs_jax.minigrid.state import CONTENTS_SHIFT, PADDING, TRACKED_MASK
 
 IDS = [name for name in envs_jax.ids() if name.startswith(("MiniGrid-", "BabyAI-"))]
 # One or two of each kind of level.
@@ -31,6 +34,38 @@ SAMPLE = [
     "MiniGrid-LavaCrossingS9N2-v0",
     "MiniGrid-SimpleCrossingS9N3-v0",
     "MiniGrid-SimpleCrossingS11N5-v0",
+    "MiniGrid-DistShift2-v0",
+    "MiniGrid-LavaGapS7-v0",
+    "MiniGrid-MultiRoom-N2-S4-v0",
+    "MiniGrid-MultiRoom-N4-S5-v1",
+    "MiniGrid-MultiRoom-N6-v0",
+    "MiniGrid-LockedRoom-v0",
+    "MiniGrid-Playground-v0",
+    "MiniGrid-Fetch-5x5-N2-v0",
+    "MiniGrid-Fetch-8x8-N3-v0",
+    "MiniGrid-GoToObject-6x6-N2-v0",
+    "MiniGrid-PutNear-6x6-N2-v0",
+    "MiniGrid-PutNear-8x8-N3-v0",
+    "MiniGrid-GoToDoor-5x5-v0",
+    "MiniGrid-GoToDoor-8x8-v0",
+    "MiniGrid-RedBlueDoors-6x6-v0",
+    "MiniGrid-MemoryS7-v0",
+    "MiniGrid-MemoryS13Random-v0",
+    "MiniGrid-Unlock-v0",
+    "MiniGrid-UnlockPickup-v0",
+    "MiniGrid-BlockedUnlockPickup-v0",
+    "MiniGrid-KeyCorridorS3R1-v0",
+    "MiniGrid-KeyCorridorS3R2-v0",
+    "MiniGrid-KeyCorridorS4R3-v0",
+    "MiniGrid-KeyCorridorS6R3-v0",
+    "MiniGrid-ObstructedMaze-1Dl-v0",
+    "MiniGrid-ObstructedMaze-1Dlhb-v0",
+    "MiniGrid-ObstructedMaze-2Dlhb-v0",
+    "MiniGrid-ObstructedMaze-2Dlhb-v1",
+    "MiniGrid-ObstructedMaze-Full-v0",
+    "MiniGrid-ObstructedMaze-Full-v1",
+    "MiniGrid-Dynamic-Obstacles-6x6-v0",
+    "MiniGrid-Dynamic-Obstacles-Random-5x5-v0",
     "BabyAI-GoToObjS4-v0",
     "BabyAI-GoToLocalS5N2-v0",
     "BabyAI-GoToLocalS6N4-v0",
@@ -42,6 +77,13 @@ SAMPLE = [
 QUICK_SAMPLE = [
     "MiniGrid-DoorKey-5x5-v0",
     "MiniGrid-SimpleCrossingS9N3-v0",
+    "MiniGrid-MultiRoom-N4-S5-v1",
+    "MiniGrid-PutNear-8x8-N3-v0",
+    "MiniGrid-GoToDoor-8x8-v0",
+    "MiniGrid-MemoryS13Random-v0",
+    "MiniGrid-KeyCorridorS4R3-v0",
+    "MiniGrid-ObstructedMaze-2Dlhb-v0",
+    "MiniGrid-Dynamic-Obstacles-Random-5x5-v0",
     "BabyAI-GoToRedBlueBall-v0",
 ]
 EMPTY, WALL, DOOR, KEY, BALL, BOX, GOAL, LAVA = 1, 2, 4, 5, 6, 7, 8, 9
@@ -55,6 +97,10 @@ class Level:
     position: tuple[int, int]
     direction: int
     mission: str
+    # What a rule is about: its target, its cells, and the cell of the object to be picked up.
+    about: tuple[int, list[tuple[int, int]], list[tuple[int, int]]]
+    # Colours of the keys that are hidden in boxes.
+    hidden: list[int]
 
     def cells(self, *kinds: int) -> list[tuple[int, int]]:
         return [tuple(cell) for cell in np.argwhere(np.isin(self.image[..., 0], kinds)).tolist()]
@@ -66,8 +112,18 @@ def package_levels(name: str, count: int) -> list[Level]:
     for seed in range(count):
         env.reset(seed=seed)
         position = (int(env.agent_pos[0]), int(env.agent_pos[1]))
-        levels.append(Level(env.grid.encode(), position, int(env.agent_dir), env.mission))
+        rule = import_rule(env) or ImportedRule(rules.PLAY)
+        tracked = [] if rule.tracked is None else [_cell(rule.tracked.cur_pos)]
+        about = rule.target, list(rule.cells), tracked
+        boxes = [thing for thing in env.grid.grid if thing is not None and thing.type == "box"]
+        hidden = [COLOR_WORDS.index(box.contains.color) for box in boxes if box.contains]
+        image, direction = env.grid.encode(), int(env.agent_dir)
+        levels.append(Level(image, position, direction, env.mission, about, hidden))
     return levels
+
+
+def _cell(position: Any) -> tuple[int, int]:
+    return int(position[0]), int(position[1])
 
 
 @cache
@@ -77,18 +133,27 @@ def our_states(name: str, count: int) -> tuple[Any, Any]:
 
 
 def our_levels(name: str, count: int) -> list[Level]:
+    pomdp = envs_jax.make(name)
     states, observations = our_states(name, count)
     world = states.environment
     inside = slice(PADDING, -PADDING)
     images = tiles.ENCODING[world.tiles[:, inside, inside]]
     missions = observations["mission"]
+    marks = world.marks[:, inside, inside]
     assert (world.carrying == 0).all()
-    return [
-        Level(image, tuple(position.tolist()), int(direction), decode_mission(mission))
-        for image, position, direction, mission in zip(
-            images, world.position, world.direction, missions, strict=True
-        )
-    ]
+    levels = []
+    for lane in range(count):
+        about = 0, [], []
+        if isinstance(pomdp.task, RuleTask):
+            cells = [_cell(cell) for cell in states.task.cells[lane] if cell.any()]
+            tracked = [_cell(cell) for cell in np.argwhere(marks[lane] & TRACKED_MASK)]
+            about = int(states.task.target[lane]), cells, tracked
+        position, direction = _cell(world.position[lane]), int(world.direction[lane])
+        mission = decode_mission(missions[lane])
+        contents = marks[lane].T.reshape(-1) >> CONTENTS_SHIFT
+        hidden = [int(content) - 1 for content in contents if content]
+        levels.append(Level(images[lane], position, direction, mission, about, hidden))
+    return levels
 
 
 def features(level: Level) -> Iterator[tuple[str, object]]:
@@ -102,12 +167,28 @@ def features(level: Level) -> Iterator[tuple[str, object]]:
         for x, y in cells:
             yield f"{name} cell", (x, y)
             yield f"{name} looks", tuple(level.image[x, y, 1:])
-    for line in sorted({2, 4, level.image.shape[0] // 2}):
-        if line < level.image.shape[0] - 2:
-            wall = np.isin(level.image[..., 0], (WALL, LAVA))
-            yield f"column {line}", wall[line].tobytes()
-            yield f"row {line}", wall[:, line].tobytes()
+    wall = np.isin(level.image[..., 0], (WALL, LAVA))
+    for axis, length in enumerate(wall.shape):
+        for line in {2, 4, length // 2}:
+            if line < length - 2:
+                yield f"line {line} along axis {axis}", wall.take(line, axis).tobytes()
+        yield f"extent along axis {axis}", tuple(wall.any(axis=1 - axis).nonzero()[0][[0, -1]])
+    yield "number of walls", int(wall.sum())
     nearest = [abs(x - level.position[0]) + abs(y - level.position[1]) for x, y in things(level)]
+    target, cells, tracked = level.about
+    yield "target", (target, level.mission)
+    yield "number of cells", (len(cells), len(tracked))
+    for number, (x, y) in enumerate(cells + tracked):
+        yield f"what is in cell {number}", (tuple(level.image[x, y]), level.mission)
+        yield f"cell {number}", (x, y)
+        # MemoryEnv's cells are next to objects, one of which is like that at the start.
+        beside = level.image[x, y - 1 : y + 2, 0].tolist()
+        cue = level.image[1, level.image.shape[1] // 2 - 1, 0]
+        yield f"what is beside cell {number}", (*beside, int(cue))
+    locked = {color for _, color, _ in level.image[level.image[..., 2] == 2].tolist()}
+    yield "hidden keys", (len(level.hidden), len(locked), locked.issuperset(level.hidden))
+    for number, color in enumerate(level.hidden):
+        yield f"hidden key {number}", color
     yield "distance of the nearest thing", min(nearest, default=-1)
 
 
@@ -182,8 +263,11 @@ def assert_solvable(name: str, count: int) -> None:
             stands = flood(level, (EMPTY,))
             assert all(touched(stands, x, y) for x, y in things(level))
             continue
-        (goal,) = level.cells(GOAL)
-        assert goal in flood(level, (EMPTY, GOAL, KEY, DOOR))
+        if level.cells(GOAL):
+            (goal,) = level.cells(GOAL)
+            # Obstacles make way.
+            passable = (EMPTY, GOAL, BALL) if "Obstacles" in name else (EMPTY, GOAL, KEY, DOOR)
+            assert goal in flood(level, passable)
         if "DoorKey" in name:
             stands = flood(level, (EMPTY,))
             (key,), (door,) = level.cells(KEY), level.cells(DOOR)

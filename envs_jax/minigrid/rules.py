@@ -1,0 +1,139 @@
+"""The tasks of MiniGrid's other worlds: to fetch, to open, to put down, to match.
+
+Which of them an episode is about is part of its data, so worlds of one shape can share a batch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+
+from envs_jax.minigrid import tiles
+from envs_jax.minigrid.environment import (
+    DONE,
+    DROP,
+    PICKUP,
+    TOGGLE,
+    at_index,
+    cell_index,
+    heading,
+    is_kind,
+)
+from envs_jax.minigrid.state import TRACKED_MASK, GridState
+from envs_jax.minigrid.tasks import REWARD_SLOPE, entered, success_reward
+from jaxact.pomdp import Outcome, Task
+
+# What an episode is about; `RuleTask` says when it ends.
+PLAY, PICK_UP, OPEN, FETCH, GO_NEXT_TO, PUT_NEAR, MATCH, OPEN_IN_TURN = range(8)
+
+_OPEN_DOORS = 1 << tiles.OPEN_DOOR | 1 << tiles.OPEN_LOCKED_DOOR
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class RuleState:
+    """Progress of a `RuleTask`. What a rule has no use for is 0.
+
+    Attributes:
+      steps: int32 scalar, steps taken so far.
+      max_steps: int32 scalar, the horizon that rewards are measured by.
+      mission: int32[MISSION_LENGTH] tokens.
+      rule: int32 scalar, one of `PLAY` … `OPEN_IN_TURN`.
+      target: uint8 scalar, the packed tile of what to fetch or to put down.
+      cells: int32[2, 2], cells (x, y) that the rule is about.
+      opened: bool[2], whether open doors stand in `cells`.
+    """
+
+    steps: jax.Array
+    max_steps: jax.Array
+    mission: jax.Array
+    rule: jax.Array
+    target: jax.Array
+    cells: jax.Array
+    opened: jax.Array
+
+
+@dataclass(frozen=True)
+class RuleTask(Task):
+    """Do what the episode's rule asks for.
+
+    - `PLAY`: nothing.
+    - `PICK_UP`: pick up the object that description 0 tracks.
+    - `OPEN`: toggle, so that the door in the first cell stands open.
+    - `FETCH`: have an object in hand that looks like the target; any other object ends it.
+    - `GO_NEXT_TO`: take the action done next to the first cell; elsewhere, or with the action
+      toggle, it ends in vain.
+    - `PUT_NEAR`: drop the target at most one cell (diagonals included) from the first cell.
+      Dropping it elsewhere ends it, even in vain, and so does picking up anything else.
+    - `MATCH`: step onto the first cell, not onto the second.
+    - `OPEN_IN_TURN`: open the door in the second cell while that in the first stands open already.
+      It ends as well when the second is opened without that, or the first after the second.
+
+    Whatever the rule, a goal square is success too, and lava ends the episode. The reward of
+    success is `GoalTask`'s. Source: the `step` methods in `minigrid.envs` of minigrid 3.2.0.
+    """
+
+    width: int
+    height: int
+    slope: float = REWARD_SLOPE
+
+    def step(
+        self, task_state: RuleState, before: GridState, action: jax.Array, after: GridState
+    ) -> tuple[RuleState, Outcome]:
+        """Judges one step; see `Task.step`."""
+        opened = self._opened(task_state.cells, after)
+        over, won = _judge(task_state, before.carrying != 0, action, after, opened)
+        goal, lava = entered(before, action, after, self.height)
+        won = jnp.where(over, won, goal)
+        task_state = replace(task_state, steps=task_state.steps + 1, opened=opened)
+        reward = success_reward(self.slope, task_state.steps, task_state.max_steps)
+        return task_state, Outcome(
+            reward={"success": jnp.where(won, reward, jnp.float32(0))},
+            success={"goal": won},
+            terminated=over | goal | lava,
+            metrics={},
+        )
+
+    def _opened(self, cells: jax.Array, state: GridState) -> jax.Array:
+        """Returns bool[2], whether open doors stand in `cells`."""
+        found = [at_index(state.tiles, cell_index(cell, self.height)) for cell in cells]
+        return is_kind(jnp.stack(found), _OPEN_DOORS)
+
+
+def _judge(
+    task_state: RuleState,
+    hands_were_full: jax.Array,
+    action: jax.Array,
+    after: GridState,
+    opened: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Returns two bools: whether the rule ends the episode, and whether with success."""
+    first, second = task_state.cells
+    here = after.position
+    empty_handed, holds = after.carrying == 0, after.carrying == task_state.target
+    tracked = after.carrying_mark & TRACKED_MASK != 0
+    in_front = here + heading(after.direction)
+    drops = (action == DROP) & hands_were_full
+    drops_near = drops & empty_handed & (jnp.max(jnp.abs(in_front - first)) <= 1)
+    is_beside = jnp.sum(jnp.abs(here - first), dtype=jnp.int32) == 1
+    is_first, is_second = jnp.all(here == first), jnp.all(here == second)
+    had_opened = task_state.opened
+
+    picks = (action == PICKUP) & tracked
+    opens = (action == TOGGLE) & opened[0]
+    verdicts = {
+        PICK_UP: (picks, picks),
+        OPEN: (opens, opens),
+        FETCH: (~empty_handed, holds),
+        GO_NEXT_TO: ((action == TOGGLE) | (action == DONE), (action == DONE) & is_beside),
+        PUT_NEAR: (drops | (action == PICKUP) & ~empty_handed & ~holds, drops_near),
+        MATCH: (is_first | is_second, is_first),
+        OPEN_IN_TURN: (opened[1] | opened[0] & had_opened[1], opened[1] & had_opened[0]),
+    }
+    over = won = jnp.bool_(False)
+    for rule, (ends, succeeds) in verdicts.items():
+        applies = task_state.rule == rule
+        over, won = over | applies & ends, won | applies & succeeds
+    return over, won
