@@ -5,13 +5,15 @@ from __future__ import annotations
 from functools import partial
 
 from envs_jax.minigrid.environment import GridWorld
+from envs_jax.minigrid.late_hands import LateHandsWorld
+from envs_jax.minigrid.missions import GO_TO_LENGTH, MISSION_LENGTH
 from envs_jax.minigrid.samplers.babyai import GoToSampler, Target
 from envs_jax.minigrid.samplers.crossing import CrossingSampler
 from envs_jax.minigrid.samplers.door_key import DoorKeySampler
 from envs_jax.minigrid.samplers.empty import EmptySampler
 from envs_jax.minigrid.samplers.four_rooms import FourRoomsSampler
 from envs_jax.minigrid.sensors import VIEW_SIZE, DirectionSensor, ImageSensor, MissionSensor
-from envs_jax.minigrid.tasks import GoalTask, InstructionTask
+from envs_jax.minigrid.tasks import GoalTask, GoToTask
 from envs_jax.registry import register
 from jaxact.pomdp import POMDP, Task, TaskSampler
 
@@ -24,8 +26,20 @@ def compose(
     *,
     see_through_walls: bool = False,
     view_size: int = VIEW_SIZE,
+    mission_length: int = MISSION_LENGTH,
+    late_hands: bool = False,
 ) -> POMDP:
     """Composes a grid world with MiniGrid's three observations: image, direction and mission.
+
+    Args:
+      task: reward and end of an episode.
+      sampler: where episodes begin.
+      width: cells along x.
+      height: cells along y.
+      see_through_walls: whether walls and shut doors hide nothing.
+      view_size: cells along a side of the agent's view.
+      mission_length: words that the longest mission needs.
+      late_hands: whether the agent is given an object after its first observation.
 
     Raises:
       JaxactError: `view_size` is not odd, or not in 3 … 7.
@@ -33,9 +47,10 @@ def compose(
     sensors = {
         "image": ImageSensor(width, height, view_size, see_through_walls),
         "direction": DirectionSensor(),
-        "mission": MissionSensor(),
+        "mission": MissionSensor(mission_length),
     }
-    return POMDP(GridWorld(width, height), task, sampler, sensors)
+    world = LateHandsWorld if late_hands else GridWorld
+    return POMDP(world(width, height), task, sampler, sensors)
 
 
 def _goal_world(
@@ -56,7 +71,14 @@ def _goal_world(
 
 def _go_to_world(sampler: GoToSampler, view_size: int = VIEW_SIZE) -> POMDP:
     size = sampler.size
-    return compose(InstructionTask(size, size), sampler, size, size, view_size=view_size)
+    return compose(
+        GoToTask(size, size),
+        sampler,
+        size,
+        size,
+        view_size=view_size,
+        mission_length=GO_TO_LENGTH,
+    )
 
 
 # BabyAI's one-room GoTo levels: room size, objects in all, target.

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from envs_jax import registry
 from envs_jax.minigrid import tiles
 from envs_jax.minigrid.catalogue import compose
-from envs_jax.minigrid.missions import COLOR_WORDS, encode_mission
+from envs_jax.minigrid.following import Following
+from envs_jax.minigrid.late_hands import NOWHERE, LateHandsState, LateHandsWorld
+from envs_jax.minigrid.missions import COLOR_WORDS, MISSION_LENGTH, encode_mission, word_tokens
 from envs_jax.minigrid.state import CONTENTS_SHIFT, PADDING, GridState
-from envs_jax.minigrid.tasks import GoalState, GoalTask, InstructionState, InstructionTask
+from envs_jax.minigrid.tasks import (
+    GoalState,
+    GoalTask,
+    GoToTask,
+    InstructionState,
+    InstructionTask,
+)
 from jaxact.errors import JaxactError
 from jaxact.pomdp import POMDP, Episode, PyTree, State, Task, TaskSampler
 
@@ -69,7 +78,9 @@ def from_minigrid(env: Any) -> tuple[POMDP, State]:
 
     Returns:
       The POMDP, whose sampler yields this very episode (what is left of it), and its state. Goal
-      worlds come out with a `GoalTask`, BabyAI's GoTo levels with an `InstructionTask`.
+      worlds come out with a `GoalTask`, BabyAI's levels with an `InstructionTask`. An environment
+      with an id of `envs_jax.ids()` comes out with that world's own task and sensors, so that all
+      its episodes have one structure.
 
     Raises:
       JaxactError: `env` is no such environment, or follows rules that are not supported, or holds
@@ -81,80 +92,101 @@ def from_minigrid(env: Any) -> tuple[POMDP, State]:
         raise JaxactError(f"from_minigrid takes an unwrapped MiniGridEnv; got {type(env).__name__}")
     if env.agent_pos is None:
         raise JaxactError(f"{_name(env)} was never reset; call env.reset() before from_minigrid")
-    task, task_state, description = _import_task(env)
-    world = _import_grid(env, description)
-    pomdp = compose(
-        task,
-        FixedSampler.of(Episode(world, task_state, jnp.int32(env.max_steps - env.step_count))),
-        env.width,
-        env.height,
-        see_through_walls=bool(env.see_through_walls),
-        view_size=int(env.agent_view_size),
-    )
-    state = State(world, task_state, jnp.int32(env.step_count), jnp.int32(env.max_steps))
-    return pomdp, state
+    following = _following(env)
+    pomdp = _frame(env, following)
+    world: GridState = _import_grid(env, following)
+    if isinstance(pomdp.environment, LateHandsWorld):
+        world = LateHandsState.of(world, jnp.array(NOWHERE, jnp.int32))
+    task_state = _import_progress(env, following, pomdp)
+    episode = Episode(world, task_state, jnp.int32(env.max_steps - env.step_count))
+    pomdp = replace(pomdp, sampler=FixedSampler.of(episode))
+    return pomdp, State(world, task_state, jnp.int32(env.step_count), jnp.int32(env.max_steps))
 
 
 def _name(env: Any) -> str:
     return env.spec.id if env.spec is not None else type(env).__name__
 
 
-def _import_task(env: Any) -> tuple[Task, PyTree, Any]:
-    """Returns the task, its state, and the description of the objects to go to (or None)."""
+def _following(env: Any) -> Following | None:
+    """Returns the instruction that is followed, or None in a goal world."""
     from minigrid.envs.babyai.core.roomgrid_level import RoomGridLevel
-    from minigrid.envs.babyai.core.verifier import GoToInstr
     from minigrid.minigrid_env import MiniGridEnv
 
-    size = (int(env.width), int(env.height))
-    steps, max_steps = jnp.int32(env.step_count), jnp.int32(env.max_steps)
     rule = type(env).step
     if rule is MiniGridEnv.step:
-        mission = jnp.asarray(encode_mission(env.mission))
-        return GoalTask(*size), GoalState(steps, max_steps, mission), None
-    if rule is RoomGridLevel.step and type(env.instrs) is GoToInstr:
-        mission = jnp.asarray(encode_mission(env.mission))
-        ghosts = jnp.asarray(_ghosts(env, env.instrs.desc))
-        state = InstructionState(steps, max_steps, mission, ghosts)
-        return InstructionTask(*size), state, env.instrs.desc
+        return None
+    if rule is RoomGridLevel.step:
+        return Following.of(env, _name(env))
     raise JaxactError(
-        f"{_name(env)} ends by rules that from_minigrid does not know; supported are worlds that "
-        "end at a goal square (those that keep MiniGridEnv.step) and BabyAI levels whose "
-        "instruction is one GoTo"
+        f"{_name(env)} ends by rules that from_minigrid does not know; supported are worlds "
+        "that end at a goal square (those that keep MiniGridEnv.step) and BabyAI levels (those "
+        "that keep RoomGridLevel.step)"
     )
 
 
-def _cells(env: Any) -> list[tuple[int, int, Any]]:
-    """Returns (x, y, object) of all cells that are not empty."""
-    cells = [(x, y, env.grid.get(x, y)) for x in range(env.width) for y in range(env.height)]
-    return [cell for cell in cells if cell[2] is not None]
+def _frame(env: Any, following: Following | None) -> POMDP:
+    """Returns the POMDP of `env`, but for its sampler."""
+    size = (int(env.width), int(env.height))
+    words = len(word_tokens(env.mission))
+    task: Task
+    if following is None:
+        task, length = GoalTask(*size), MISSION_LENGTH
+    else:
+        task = GoToTask(*size) if following.is_go_to else InstructionTask(*size)
+        length = words
+    made = registry.make(_name(env)) if _name(env) in registry.ids() else None
+    if made is not None and _suits(made.task, size, following):
+        (room,) = made.observation_space.spaces["mission"].structure.shape
+        task, length = made.task, max(room, words)
+    return compose(
+        task,
+        FixedSampler((), None),
+        *size,
+        see_through_walls=bool(env.see_through_walls),
+        view_size=int(env.agent_view_size),
+        mission_length=length,
+        late_hands=made is not None and isinstance(made.environment, LateHandsWorld),
+    )
 
 
-def _fits(thing: Any, description: Any) -> bool:
-    """Whether `description` will find `thing` again when it next looks (it follows identities)."""
+def _suits(task: Task, size: tuple[int, int], following: Following | None) -> bool:
+    """Whether a registered world's task can go on with what `env` is about."""
+    if following is None:
+        return isinstance(task, GoalTask) and (task.width, task.height) == size
     return (
-        description is not None
-        and any(thing is other for other in description.obj_set)
-        and description.type in (None, thing.type)
-        and description.color in (None, thing.color)
+        isinstance(task, InstructionTask)
+        and (task.width, task.height) == size
+        and (task.beliefs >= following.beliefs)
+        and (following.is_go_to or not isinstance(task, GoToTask))
     )
 
 
-def _ghosts(env: Any, description: Any) -> np.ndarray:
-    """Returns uint32[1, height]: where `description` errs about where its objects are."""
-    believed = {(int(x), int(y)) for x, y in description.obj_poss}
-    actual = {(x, y) for x, y, thing in _cells(env) if _fits(thing, description)}
-    rows = np.zeros((1, env.height), np.uint32)
-    for x, y in believed ^ actual:
-        rows[0, y] |= np.uint32(1 << x)
-    return rows
+def _import_progress(env: Any, following: Following | None, pomdp: POMDP) -> PyTree:
+    steps, max_steps = jnp.int32(env.step_count), jnp.int32(env.max_steps)
+    (length,) = pomdp.observation_space.spaces["mission"].structure.shape
+    mission = jnp.asarray(encode_mission(env.mission, length))
+    if following is None:
+        return GoalState(steps, max_steps, mission)
+    assert isinstance(pomdp.task, InstructionTask)
+    is_general = not isinstance(pomdp.task, GoToTask)
+    return InstructionState(
+        steps,
+        max_steps,
+        mission,
+        program=following.program().pack() if is_general else None,
+        progress=following.progress().pack() if is_general else None,
+        ghosts=jnp.asarray(following.ghosts(pomdp.task.beliefs)),
+    )
 
 
-def _import_grid(env: Any, description: Any) -> GridState:
+def _import_grid(env: Any, following: Following | None) -> GridState:
     plane = np.full((env.width, env.height), tiles.EMPTY_TILE, np.uint8)
     marks = np.zeros((env.width, env.height), np.uint16)
-    for x, y, thing in _cells(env):
-        plane[x, y] = _tile(env, thing)
-        marks[x, y] = _mark(env, thing, description)
+    for x in range(env.width):
+        for y in range(env.height):
+            thing = env.grid.get(x, y)
+            if thing is not None:
+                plane[x, y], marks[x, y] = _tile(env, thing), _mark(env, thing, following)
     held = env.carrying
     return GridState(
         tiles=jnp.asarray(np.pad(plane, PADDING, constant_values=tiles.WALL_TILE).reshape(-1)),
@@ -162,7 +194,7 @@ def _import_grid(env: Any, description: Any) -> GridState:
         position=jnp.asarray(np.asarray(env.agent_pos, np.int32)),
         direction=jnp.int32(env.agent_dir),
         carrying=jnp.uint8(0 if held is None else _tile(env, held)),
-        carrying_mark=jnp.uint16(0 if held is None else _mark(env, held, description)),
+        carrying_mark=jnp.uint16(0 if held is None else _mark(env, held, following)),
     )
 
 
@@ -180,13 +212,13 @@ def _tile(env: Any, thing: Any) -> int:
     return tiles.tile(kind, COLOR_WORDS.index(thing.color))
 
 
-def _mark(env: Any, thing: Any, description: Any) -> int:
-    """Returns the mark of a MiniGrid object: whether it is tracked, and what it contains."""
-    mark = int(_fits(thing, description))
+def _mark(env: Any, thing: Any, following: Following | None) -> int:
+    """Returns the mark of a MiniGrid object: which clauses are about it, and what it contains."""
+    mark = 0 if following is None else following.mark(thing)
     content = getattr(thing, "contains", None)
     if thing.type != "box" or content is None:
         return mark
-    if content.type != "key" or _fits(content, description):
+    if content.type != "key" or (following is not None and following.mark(content)):
         raise JaxactError(
             f"{_name(env)} has a box with a {content.type} in it; boxes may contain keys (but not "
             "one that the instruction is about)"

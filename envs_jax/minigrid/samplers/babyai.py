@@ -53,9 +53,8 @@ class GoToSampler(TaskSampler):
         """Draws one episode."""
         del sampler_state
         level = placement.until_valid(key, self._draw)
-        state = placement.grid_state(
-            level.board, level.position, level.direction, tracked=level.board == level.codes[0]
-        )
+        tracked = (level.board == level.codes[0]).astype(jnp.uint16)
+        state = placement.grid_state(level.board, level.position, level.direction, tracked)
         horizon = jnp.int32(self.max_steps)
         kind = level.codes[0] & tiles.TYPE_MASK
         color = level.codes[0] >> tiles.COLOR_SHIFT
@@ -64,6 +63,8 @@ class GoToSampler(TaskSampler):
             steps=jnp.int32(0),
             max_steps=horizon,
             mission=missions.go_to(kind, color, several),
+            program=None,
+            progress=None,
             ghosts=jnp.zeros((1, self.size), jnp.uint32),
         )
         return Episode(state, task, horizon)

@@ -34,7 +34,7 @@ def uniform_int(draw: jax.Array, low: jax.Array | int, high: jax.Array | int) ->
     return jnp.asarray(low, jnp.int32) + rank
 
 
-def split_draw(draw: jax.Array, count: int) -> tuple[jax.Array, jax.Array]:
+def split_draw(draw: jax.Array, count: jax.Array | int) -> tuple[jax.Array, jax.Array]:
     """Turns a uniform `draw` in [0, 1) into a uniform int32 below `count` and another such draw.
 
     For small counts: what is left of the 23 random bits must do for the second draw.
@@ -139,7 +139,7 @@ def grid_state(
     plane: jax.Array,
     position: jax.Array,
     direction: jax.Array,
-    tracked: jax.Array | None = None,
+    marks: jax.Array | None = None,
 ) -> GridState:
     """Returns the first state of a level, the agent's hands empty.
 
@@ -147,10 +147,10 @@ def grid_state(
       plane: uint8[width, height] of packed tiles.
       position: int32[2].
       direction: int32 scalar.
-      tracked: bool[width, height], where the objects are that description 0 tracks; none when left
-        out.
+      marks: uint16[width, height], see `GridState.marks`; none when left out.
     """
-    marks = jnp.zeros(plane.shape, jnp.uint16) if tracked is None else tracked.astype(jnp.uint16)
+    if marks is None:
+        marks = jnp.zeros(plane.shape, jnp.uint16)
     return GridState(
         tiles=jnp.pad(plane, PADDING, constant_values=tiles.WALL_TILE).reshape(-1),
         marks=jnp.pad(marks, PADDING).reshape(-1),

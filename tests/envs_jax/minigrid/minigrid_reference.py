@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -57,13 +57,18 @@ def play(
         env.step(draw())
     if scrambled:
         scramble(env, rng)
+    return record_steps(env, lambda _: draw())
+
+
+def record_steps(env: Any, choose: Callable[[Any], int]) -> Recording:
+    """Records what the package does on the actions chosen, whether or not the episode ends."""
     pomdp, state = interop.from_minigrid(env)
     first = env.gen_obs()
-    actions = draw(size=STEPS)
+    actions, missions = [], []
     answers = defaultdict(list)
-    missions = []
-    for action in actions:
-        observation, reward, terminated, truncated, _ = env.step(action)
+    for _ in range(STEPS):
+        actions.append(choose(env))
+        observation, reward, terminated, truncated, _ = env.step(actions[-1])
         answers["image"].append(observation["image"])
         answers["direction"].append(observation["direction"])
         answers["reward"].append(reward)
@@ -71,7 +76,7 @@ def play(
         answers["truncated"].append(truncated)
         missions.append(observation["mission"])
     stacked = {name: np.array(values) for name, values in answers.items()}
-    return Recording(pomdp, state, actions, first, stacked, missions)
+    return Recording(pomdp, state, np.array(actions), first, stacked, missions)
 
 
 def scramble(env: Any, rng: np.random.Generator) -> None:
@@ -100,14 +105,31 @@ def scramble(env: Any, rng: np.random.Generator) -> None:
         env.max_steps = env.step_count + int(rng.integers(1, STEPS))
 
 
+def actions_of(instr: Any) -> list[Any]:
+    """Returns the clauses of an instruction."""
+    if not hasattr(instr, "instr_a"):
+        return [instr]
+    return actions_of(instr.instr_a) + actions_of(instr.instr_b)
+
+
+def descriptions_of(instr: Any) -> list[Any]:
+    """Returns all descriptions of objects in an instruction."""
+    names = ("desc", "desc_move", "desc_fixed")
+    return [getattr(a, name) for a in actions_of(instr) for name in names if hasattr(a, name)]
+
+
 def move_something(env: Any, rng: np.random.Generator) -> None:
     """Moves a tracked object by hand, so that the instruction believes it elsewhere."""
-    x, y = env.instrs.desc.obj_poss[0] if env.instrs.desc.obj_poss else (0, 0)
+    descriptions = descriptions_of(env.instrs)
+    believed = descriptions[rng.integers(len(descriptions))].obj_poss
+    x, y = believed[0] if believed else (0, 0)
     empty = [index for index, thing in enumerate(env.grid.grid) if thing is None]
     thing = env.grid.get(x, y)
     if empty and thing is not None and thing.type != "wall":
         env.grid.set(x, y, None)
-        env.grid.grid[empty[rng.integers(len(empty))]] = thing
+        index = empty[rng.integers(len(empty))]
+        env.grid.grid[index] = thing
+        thing.cur_pos = (index % env.width, index // env.width)
 
 
 def random_portable(rng: np.random.Generator) -> Any:

@@ -19,7 +19,7 @@ import envs_jax
 from envs_jax.minigrid import interop, tiles
 from envs_jax.minigrid.environment import GridWorld
 from envs_jax.minigrid.state import PADDING, GridState
-from envs_jax.minigrid.tasks import GoalTask, InstructionTask
+from envs_jax.minigrid.tasks import GoalTask, GoToTask
 from jaxact.pomdp import POMDP, State
 
 LEFT, RIGHT, FORWARD, PICKUP, DROP, TOGGLE, DONE = range(7)
@@ -175,7 +175,7 @@ class Runner:
 def count_optimal(pomdp: POMDP, state: State, results: tuple[Any, Any]) -> tuple[int, int]:
     """Compares path lengths with the shortest; returns how many are equal, and how many in all."""
     actions = (LEFT, RIGHT, FORWARD, PICKUP, TOGGLE)
-    if isinstance(pomdp.task, InstructionTask):
+    if isinstance(pomdp.task, GoToTask):
         # Moving objects about is no part of the claim; `done` is.
         actions = (LEFT, RIGHT, FORWARD, DONE)
     state, steps, valid = jax.tree.map(np.asarray, (state, *results))
@@ -241,7 +241,7 @@ GO_TO = ["BabyAI-GoToLocal-v0", "BabyAI-GoToRedBallGrey-v0"]
 @pytest.mark.parametrize("names", [GOALS, GO_TO], ids=["goals", "go to"])
 def test_paths_are_shortest_in_live_worlds(names: list[str]) -> None:
     size = 19 if names is GOALS else 8
-    task = GoalTask(size, size) if names is GOALS else InstructionTask(size, size)
+    task = GoalTask(size, size) if names is GOALS else GoToTask(size, size)
     pomdp = POMDP(GridWorld(size, size), task, interop.FixedSampler((), None), {})
     state = live_states(names, size, seeds=30)
     lanes = len(state.steps)
