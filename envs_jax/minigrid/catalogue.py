@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from functools import partial
 
+from envs_jax.minigrid import babyai
 from envs_jax.minigrid.environment import GridWorld
 from envs_jax.minigrid.late_hands import LateHandsWorld
 from envs_jax.minigrid.missions import GO_TO_LENGTH, MISSION_LENGTH
-from envs_jax.minigrid.samplers.babyai import GoToSampler, Target
+from envs_jax.minigrid.samplers.babyai.level import LevelSampler
+from envs_jax.minigrid.samplers.babyai.one_room import GoToSampler
+from envs_jax.minigrid.samplers.babyai.put_next import PutNextSampler
 from envs_jax.minigrid.samplers.crossing import CrossingSampler
 from envs_jax.minigrid.samplers.door_key import DoorKeySampler
 from envs_jax.minigrid.samplers.empty import EmptySampler
 from envs_jax.minigrid.samplers.four_rooms import FourRoomsSampler
 from envs_jax.minigrid.sensors import VIEW_SIZE, DirectionSensor, ImageSensor, MissionSensor
-from envs_jax.minigrid.tasks import GoalTask, GoToTask
+from envs_jax.minigrid.tasks import GoalTask, GoToTask, InstructionTask
 from envs_jax.registry import register
-from jaxact.pomdp import POMDP, Task, TaskSampler
+from jaxact.pomdp import POMDP, Environment, Task, TaskSampler
 
 
 def compose(
@@ -27,7 +30,7 @@ def compose(
     see_through_walls: bool = False,
     view_size: int = VIEW_SIZE,
     mission_length: int = MISSION_LENGTH,
-    late_hands: bool = False,
+    environment: Environment | None = None,
 ) -> POMDP:
     """Composes a grid world with MiniGrid's three observations: image, direction and mission.
 
@@ -39,7 +42,7 @@ def compose(
       see_through_walls: whether walls and shut doors hide nothing.
       view_size: cells along a side of the agent's view.
       mission_length: words that the longest mission needs.
-      late_hands: whether the agent is given an object after its first observation.
+      environment: the dynamics; by default those that most worlds share.
 
     Raises:
       JaxactError: `view_size` is not odd, or not in 3 … 7.
@@ -49,8 +52,7 @@ def compose(
         "direction": DirectionSensor(),
         "mission": MissionSensor(mission_length),
     }
-    world = LateHandsWorld if late_hands else GridWorld
-    return POMDP(world(width, height), task, sampler, sensors)
+    return POMDP(environment or GridWorld(width, height), task, sampler, sensors)
 
 
 def _goal_world(
@@ -69,7 +71,7 @@ def _goal_world(
     )
 
 
-def _go_to_world(sampler: GoToSampler, view_size: int = VIEW_SIZE) -> POMDP:
+def _one_room_world(sampler: GoToSampler, view_size: int = VIEW_SIZE) -> POMDP:
     size = sampler.size
     return compose(
         GoToTask(size, size),
@@ -81,29 +83,19 @@ def _go_to_world(sampler: GoToSampler, view_size: int = VIEW_SIZE) -> POMDP:
     )
 
 
-# BabyAI's one-room GoTo levels: room size, objects in all, target.
-_GO_TO: dict[str, tuple[int, int, Target]] = {
-    "GoToRedBallGrey-v0": (8, 8, "red ball among grey"),
-    "GoToRedBall-v0": (8, 8, "red ball"),
-    "GoToRedBallNoDists-v0": (8, 1, "red ball"),
-    "GoToRedBlueBall-v0": (8, 8, "red or blue ball"),
-    "GoToObj-v0": (8, 1, "any"),
-    "GoToObjS4-v0": (4, 1, "any"),
-    "GoToObjS6-v1": (6, 1, "any"),
-    "GoToLocal-v0": (8, 8, "any"),
-    "GoToLocalS5N2-v0": (5, 2, "any"),
-    "GoToLocalS6N2-v0": (6, 2, "any"),
-    "GoToLocalS6N3-v0": (6, 3, "any"),
-    "GoToLocalS6N4-v0": (6, 4, "any"),
-    "GoToLocalS7N4-v0": (7, 4, "any"),
-    "GoToLocalS7N5-v0": (7, 5, "any"),
-    "GoToLocalS8N2-v0": (8, 2, "any"),
-    "GoToLocalS8N3-v0": (8, 3, "any"),
-    "GoToLocalS8N4-v0": (8, 4, "any"),
-    "GoToLocalS8N5-v0": (8, 5, "any"),
-    "GoToLocalS8N6-v0": (8, 6, "any"),
-    "GoToLocalS8N7-v0": (8, 7, "any"),
-}
+def _level_world(sampler: LevelSampler, view_size: int = VIEW_SIZE) -> POMDP:
+    size = sampler.grid.width, sampler.grid.height
+    task = GoToTask(*size) if sampler.is_go_to else InstructionTask(*size, sampler.beliefs)
+    late_hands = isinstance(sampler, PutNextSampler) and sampler.start_carrying
+    return compose(
+        task,
+        sampler,
+        *size,
+        view_size=view_size,
+        mission_length=sampler.mission_length,
+        environment=LateHandsWorld(*size) if late_hands else None,
+    )
+
 
 # Sizes of the worlds whose id ends in -{size}x{size}-v0, and crossings as (size, rivers).
 _EMPTY_SIZES = (5, 6, 8, 16)
@@ -130,6 +122,7 @@ def register_all() -> None:
     for name, goal_sampler in goals.items():
         see_through = isinstance(goal_sampler, EmptySampler)
         register(f"MiniGrid-{name}", partial(_goal_world, goal_sampler, see_through))
-    for name, (size, objects, target) in _GO_TO.items():
-        go_to_sampler = GoToSampler(size, objects, size**2, target)
-        register(f"BabyAI-{name}", partial(_go_to_world, go_to_sampler))
+    for name, go_to_sampler in babyai.one_room_levels().items():
+        register(f"BabyAI-{name}", partial(_one_room_world, go_to_sampler))
+    for name, level_sampler in babyai.levels().items():
+        register(f"BabyAI-{name}", partial(_level_world, level_sampler))

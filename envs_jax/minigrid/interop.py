@@ -138,6 +138,7 @@ def _frame(env: Any, following: Following | None) -> POMDP:
     if made is not None and _suits(made.task, size, following):
         (room,) = made.observation_space.spaces["mission"].structure.shape
         task, length = made.task, max(room, words)
+    late_hands = made is not None and isinstance(made.environment, LateHandsWorld)
     return compose(
         task,
         FixedSampler((), None),
@@ -145,7 +146,7 @@ def _frame(env: Any, following: Following | None) -> POMDP:
         see_through_walls=bool(env.see_through_walls),
         view_size=int(env.agent_view_size),
         mission_length=length,
-        late_hands=made is not None and isinstance(made.environment, LateHandsWorld),
+        environment=LateHandsWorld(*size) if late_hands else None,
     )
 
 
