@@ -77,10 +77,10 @@ class LevelSampler(TaskSampler):
     def sample(self, key: jax.Array, sampler_state: PyTree) -> Episode:
         """Draws one episode."""
         del sampler_state
-        layout, sentence = placement.until_valid(key, self._draw)
+        layout, sentence = placement.until_valid(key, self.draw)
         return self.begin(layout, sentence)
 
-    def _draw(self, key: jax.Array) -> tuple[tuple[Layout, Sentence], jax.Array]:
+    def draw(self, key: jax.Array) -> tuple[tuple[Layout, Sentence], jax.Array]:
         """Draws one level; returns it and whether it is valid."""
         # All in one call: random bits are the dearest part of a level.
         shapes = (self.grid.walls, *self.draw_shapes)
