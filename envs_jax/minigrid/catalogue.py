@@ -11,7 +11,7 @@ from envs_jax.minigrid.environment import GridWorld
 from envs_jax.minigrid.late_hands import LateHandsWorld
 from envs_jax.minigrid.missions import GO_TO_LENGTH, MISSION_LENGTH
 from envs_jax.minigrid.obstacles import ObstacleTask, ObstacleWorld
-from envs_jax.minigrid.rules import RuleTask
+from envs_jax.minigrid.rules import ErrandTask, RuleTask
 from envs_jax.minigrid.samplers.babyai.level import LevelSampler
 from envs_jax.minigrid.samplers.babyai.one_room import GoToSampler
 from envs_jax.minigrid.samplers.babyai.put_next import PutNextSampler
@@ -180,18 +180,18 @@ def _rule_worlds() -> dict[str, _World]:
     worlds["Playground-v0"] = _World(PlaygroundSampler(100), 19, 19, RuleTask)
     for name, (errand, size, objects, max_steps) in _ERRANDS.items():
         sampler = ObjectsSampler(size, objects, max_steps, errand)
-        worlds[name] = _World(sampler, size, size, RuleTask, see_through_walls=True)
+        worlds[name] = _World(sampler, size, size, ErrandTask, see_through_walls=True)
     for size in (5, 6, 8):
         doors = GoToDoorSampler(size, 4 * size**2)
         name = f"GoToDoor-{size}x{size}-v0"
-        worlds[name] = _World(doors, size, size, RuleTask, see_through_walls=True)
+        worlds[name] = _World(doors, size, size, ErrandTask, see_through_walls=True)
     for size in (6, 8):
         in_turn = RedBlueDoorsSampler(size, 20 * size**2)
-        worlds[f"RedBlueDoors-{size}x{size}-v0"] = _World(in_turn, 2 * size, size, RuleTask)
+        worlds[f"RedBlueDoors-{size}x{size}-v0"] = _World(in_turn, 2 * size, size, ErrandTask)
     for size, name in ((7, ""), (9, ""), (11, ""), (13, ""), (13, "Random"), (17, "Random")):
         memory = MemorySampler(size, 5 * size**2, name == "Random")
         hands_free = GridWorld(size, size, pickup_toggles=True)
-        worlds[f"MemoryS{size}{name}-v0"] = _World(memory, size, size, RuleTask, hands_free)
+        worlds[f"MemoryS{size}{name}-v0"] = _World(memory, size, size, ErrandTask, hands_free)
     return worlds
 
 
@@ -210,16 +210,16 @@ def _obstacle_worlds() -> dict[str, _World]:
 
 def _room_grid_worlds() -> dict[str, _World]:
     """Returns the worlds with a grid of rooms in which there is no goal square, by name."""
-    worlds = {name: _World(sampler, 11, 6, RuleTask) for name, sampler in _UNLOCKS.items()}
+    worlds = {name: _World(sampler, 11, 6, ErrandTask) for name, sampler in _UNLOCKS.items()}
     for size, rows in _KEY_CORRIDORS:
         corridor = KeyCorridorSampler(size, rows, 30 * size**2)
         extent = corridor.grid.width, corridor.grid.height
-        worlds[f"KeyCorridorS{size}R{rows}-v0"] = _World(corridor, *extent, RuleTask)
+        worlds[f"KeyCorridorS{size}R{rows}-v0"] = _World(corridor, *extent, ErrandTask)
     for name, options in _OBSTRUCTED_MAZES.items():
         for version in (0, 1) if name in _OBSTRUCTED_MAZES_V1 else (0,):
             maze = ObstructedMazeSampler(*options, keys_last=version == 1)
             extent = maze.grid.width, maze.grid.height
-            worlds[f"ObstructedMaze-{name}-v{version}"] = _World(maze, *extent, RuleTask)
+            worlds[f"ObstructedMaze-{name}-v{version}"] = _World(maze, *extent, ErrandTask)
     return worlds
 
 

@@ -18,7 +18,7 @@ from envs_jax.minigrid.late_hands import NOWHERE, LateHandsState, LateHandsWorld
 from envs_jax.minigrid.missions import COLOR_WORDS, MISSION_LENGTH, encode_mission, word_tokens
 from envs_jax.minigrid.obstacles import ObstacleState, ObstacleTask, ObstacleWorld
 from envs_jax.minigrid.rule_import import ImportedRule, import_rule
-from envs_jax.minigrid.rules import RuleTask
+from envs_jax.minigrid.rules import PLAY, ErrandTask, RuleTask
 from envs_jax.minigrid.sensors import MissionSensor
 from envs_jax.minigrid.state import CONTENTS_SHIFT, PADDING, GridState
 from envs_jax.minigrid.tasks import GoalState, GoalTask
@@ -148,7 +148,8 @@ def _import_task(
     """Returns the task and its state."""
     size = (int(env.width), int(env.height))
     if isinstance(about, ImportedRule):
-        return RuleTask(*size), about.state(env, mission)
+        task_type = RuleTask if about.number == PLAY else ErrandTask
+        return task_type(*size), about.state(env, mission)
     if isinstance(about, ImportedInstruction):
         task = about.task(size, None if own is None else own.task)
         return task, about.state(task, mission)

@@ -8,6 +8,7 @@ from typing import cast
 import jax
 import jax.numpy as jnp
 
+from envs_jax.minigrid import expert as experts
 from envs_jax.minigrid import tiles
 from envs_jax.minigrid.environment import (
     FORWARD,
@@ -20,7 +21,7 @@ from envs_jax.minigrid.environment import (
 )
 from envs_jax.minigrid.state import GridState
 from envs_jax.minigrid.tasks import REWARD_SLOPE, GoalState, entered, success_reward
-from jaxact.pomdp import Environment, Outcome, Task
+from jaxact.pomdp import Environment, ExpertAction, Outcome, Task
 from jaxact.spaces import Discrete
 
 NUM_ACTIONS = 3
@@ -150,3 +151,12 @@ class ObstacleTask(Task):
             terminated=goal | lava | collision,
             metrics={},
         )
+
+    def expert(self, key: jax.Array, task_state: GoalState, state: ObstacleState) -> ExpertAction:
+        """Returns the first action of a shortest plan past the obstacles as they stand.
+
+        A cell that is free now can be entered without harm. While there is no way, it turns about.
+        """
+        advice = experts.goal_expert(key, task_state, state, self.width, self.height)
+        waits = jnp.int32(LEFT)
+        return ExpertAction(jnp.where(advice.valid, advice.action, waits), jnp.bool_(True))

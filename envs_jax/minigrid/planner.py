@@ -199,8 +199,11 @@ def _search(
     plain = layered._replace(open=(own,), slow=None, gates=(), layer=jnp.zeros_like(layer))
     # Few worlds have doors; a look at all lanes at once spares the others layers and slow cells.
     has_slow, has_gates = jnp.any(terrain.slow != 0), jnp.any(terrain.gates != 0)
-    variants = [plain, layered._replace(slow=None), layered]
-    variant = jnp.select([~jnp.any(active), has_slow, has_gates], [0, 2, 1], 0)
+    if layered.gates:
+        variants = [plain, layered._replace(slow=None), layered]
+        variant = jnp.select([~jnp.any(active), has_slow, has_gates], [0, 2, 1], 0)
+    else:
+        variants, variant = [plain, layered], (jnp.any(active) & has_slow).astype(jnp.int32)
     return lax.switch(variant, [functools.partial(_flood, world) for world in variants])
 
 

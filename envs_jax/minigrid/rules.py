@@ -10,9 +10,11 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
+from envs_jax.minigrid import planner, tiles
 from envs_jax.minigrid.environment import (
     DONE,
     DROP,
+    FORWARD,
     OPEN_DOORS,
     PICKUP,
     TOGGLE,
@@ -21,9 +23,12 @@ from envs_jax.minigrid.environment import (
     heading,
     is_kind,
 )
+from envs_jax.minigrid.errands import errand_expert
+from envs_jax.minigrid.regions import around, beside, cell_board
 from envs_jax.minigrid.state import TRACKED_MASK, GridState
+from envs_jax.minigrid.subgoals import Subgoal, inner
 from envs_jax.minigrid.tasks import REWARD_SLOPE, entered, success_reward
-from jaxact.pomdp import Outcome, Task
+from jaxact.pomdp import ExpertAction, Outcome, Task
 
 # What an episode is about; `RuleTask` says when it ends.
 PLAY, PICK_UP, OPEN, FETCH, GO_NEXT_TO, PUT_NEAR, MATCH, OPEN_IN_TURN = range(8)
@@ -100,6 +105,16 @@ class RuleTask(Task):
         return is_kind(jnp.stack(found), OPEN_DOORS)
 
 
+@dataclass(frozen=True)
+class ErrandTask(RuleTask):
+    """A `RuleTask` whose rule is not `PLAY`; this task has an expert."""
+
+    def expert(self, key: jax.Array, task_state: RuleState, state: GridState) -> ExpertAction:
+        """Returns the next action towards what the rule asks for; see `errand_expert`."""
+        del key
+        return errand_expert(_subgoal(task_state, state), state, self.height)
+
+
 def _judge(
     task_state: RuleState,
     hands_were_full: jax.Array,
@@ -135,3 +150,42 @@ def _judge(
         applies = task_state.rule == rule
         over, won = over | applies & ends, won | applies & succeeds
     return over, won
+
+
+def _subgoal(task_state: RuleState, state: GridState) -> Subgoal:
+    """Returns what the rule wants next."""
+    cells, marks = inner(state.tiles), inner(state.marks)
+    empty = planner.pack(cells == tiles.EMPTY_TILE)
+    targets = planner.pack(cells == task_state.target)
+    first, second = (cell_board(cell, empty) for cell in task_state.cells)
+    holds = state.carrying == task_state.target
+    no, yes = jnp.bool_(False), jnp.bool_(True)
+    nothing = jnp.zeros_like(empty)
+    # For each rule: the cells, what to do there, and whether objects may be moved, doors opened.
+    wishes = {
+        PICK_UP: (planner.pack(marks & TRACKED_MASK != 0), PICKUP, yes, yes),
+        OPEN: (first, TOGGLE, yes, yes),
+        FETCH: (targets, PICKUP, no, yes),
+        GO_NEXT_TO: (beside(first) & empty, DONE, yes, no),
+        PUT_NEAR: (
+            jnp.where(holds, around(first) & empty, targets),
+            jnp.where(holds, DROP, PICKUP),
+            no,
+            yes,
+        ),
+        MATCH: (first, FORWARD, no, yes),
+        OPEN_IN_TURN: (jnp.where(task_state.opened[0], second, first), TOGGLE, yes, yes),
+    }
+    wanted, action, may_move, may_open = nothing, jnp.int32(DONE), no, no
+    for rule, (where, what, moves, opens) in wishes.items():
+        applies = task_state.rule == rule
+        wanted, action = jnp.where(applies, where, wanted), jnp.where(applies, what, action)
+        may_move, may_open = may_move | applies & moves, may_open | applies & opens
+    return Subgoal.of(
+        wanted,
+        action,
+        stands=task_state.rule == GO_NEXT_TO,
+        forbidden=jnp.where(task_state.rule == MATCH, second, nothing),
+        may_move=may_move,
+        may_open=may_open,
+    )

@@ -10,8 +10,10 @@ import jax.numpy as jnp
 from envs_jax.minigrid import expert as experts
 from envs_jax.minigrid import instructions, tiles
 from envs_jax.minigrid.environment import FORWARD, at_index, front_index
+from envs_jax.minigrid.errands import errand_expert
 from envs_jax.minigrid.instructions import Program, Progress
 from envs_jax.minigrid.state import GridState
+from envs_jax.minigrid.subgoals import instruction_subgoal
 from jaxact.pomdp import ExpertAction, Outcome, Task
 
 REWARD_SLOPE = 0.9
@@ -141,6 +143,14 @@ class InstructionTask(Task):
             metrics={},
         )
 
+    def expert(
+        self, key: jax.Array, task_state: InstructionState, state: GridState
+    ) -> ExpertAction:
+        """Returns the next action towards the first clause not done; see `errand_expert`."""
+        del key
+        subgoal = instruction_subgoal(*self._read(task_state), task_state.ghosts, state)
+        return errand_expert(subgoal, state, self.height)
+
     def _read(self, task_state: InstructionState) -> tuple[Program, Progress]:
         assert task_state.program is not None
         assert task_state.progress is not None
@@ -152,9 +162,10 @@ class InstructionTask(Task):
 
 @dataclass(frozen=True)
 class GoToTask(InstructionTask):
-    """Follow an instruction whose one clause is to go to an object; this task has an expert.
+    """Follow an instruction whose one clause is to go to an object.
 
-    Its states hold no program and no progress: what is the same in all of them is compiled in.
+    Its expert knows the shortest way where keys are needed, too. Its states hold no program and no
+    progress: what is the same in all of them is compiled in.
     """
 
     beliefs: int = 1

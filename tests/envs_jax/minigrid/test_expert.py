@@ -1,10 +1,8 @@
-"""The experts against exhaustive search in a plain Python model of MiniGrid's dynamics."""
+"""The experts of goal squares and GoTo: optimal, beside exhaustive search."""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -13,127 +11,18 @@ import jax.numpy as jnp
 import minigrid  # noqa: F401  (registers its environments)
 import numpy as np
 import pytest
+from grid_search import DONE, FORWARD, LEFT, PICKUP, RIGHT, TOGGLE, model_of
 from minigrid.core.world_object import Ball, Box
 from minigrid_reference import embed
 
 import envs_jax
-from envs_jax.minigrid import interop, tiles
+from envs_jax.minigrid import interop
 from envs_jax.minigrid.environment import GridWorld
 from envs_jax.minigrid.samplers.babyai.one_room import GoToSampler
-from envs_jax.minigrid.state import PADDING
 from envs_jax.minigrid.tasks import GoalTask, GoToTask
 from jaxact.pomdp import POMDP, State
 
 IDS = [name for name in envs_jax.ids() if name.startswith(("MiniGrid-", "BabyAI-"))]
-LEFT, RIGHT, FORWARD, PICKUP, DROP, TOGGLE, DONE = range(7)
-STEPS = [(1, 0), (0, 1), (-1, 0), (0, -1)]
-WALKABLE = {tiles.EMPTY, tiles.FLOOR, tiles.OPEN_DOOR}
-PORTABLE = {tiles.KEY, tiles.BALL, tiles.BOX}
-
-
-@dataclass(frozen=True)
-class Node:
-    """A state of the model: the agent, its hands, and the cells that differ from the start."""
-
-    x: int
-    y: int
-    d: int
-    held: int
-    changed: tuple[tuple[tuple[int, int], int], ...] = ()
-
-
-@dataclass
-class Model:
-    """The reference: MiniGrid's rules on a dictionary of cells; `targets` makes it a GoTo task."""
-
-    cells: dict[tuple[int, int], int]
-    start: Node
-    targets: set[tuple[int, int]] | None
-    actions: tuple[int, ...]
-
-    def at(self, node: Node, cell: tuple[int, int]) -> int:
-        return dict(node.changed).get(cell, self.cells[cell])
-
-    def front(self, node: Node) -> tuple[int, int]:
-        return node.x + STEPS[node.d][0], node.y + STEPS[node.d][1]
-
-    def edges(self, node: Node) -> Iterator[tuple[Node, bool]]:
-        """Yields each next state and whether the step ends the episode with success."""
-        for action in self.actions:
-            after = self.step(node, action)
-            if after is None:
-                continue
-            if self.targets is None:
-                entered = self.at(node, self.front(node)) & 15 == tiles.GOAL
-                yield after, action == FORWARD and entered
-            else:
-                yield after, self.front(after) in self.targets
-
-    def step(self, node: Node, action: int) -> Node | None:
-        """Returns the next state, or None where the action is deadly."""
-        if action == LEFT:
-            return replace(node, d=(node.d + 3) % 4)
-        if action == RIGHT:
-            return replace(node, d=(node.d + 1) % 4)
-        front = self.front(node)
-        tile = self.at(node, front)
-        kind = tile & 15
-        if action == FORWARD:
-            if kind == tiles.LAVA:
-                return None
-            free = kind in WALKABLE or kind == tiles.GOAL
-            return replace(node, x=front[0], y=front[1]) if free else node
-        if action == PICKUP and kind in PORTABLE and not node.held:
-            return replace(self.put(node, front, tiles.EMPTY_TILE), held=tile)
-        if action == DROP and kind == tiles.EMPTY and node.held:
-            return replace(self.put(node, front, node.held), held=0)
-        if action == TOGGLE:
-            color = tile & 240
-            if kind == tiles.CLOSED_DOOR or (
-                kind == tiles.LOCKED_DOOR and node.held == color | tiles.KEY
-            ):
-                return self.put(node, front, color | tiles.OPEN_DOOR)
-            if kind == tiles.OPEN_DOOR:
-                return self.put(node, front, color | tiles.CLOSED_DOOR)
-        return node
-
-    def put(self, node: Node, cell: tuple[int, int], tile: int) -> Node:
-        changed = {**dict(node.changed), cell: tile}
-        if self.cells[cell] == tile:
-            del changed[cell]
-        return replace(node, changed=tuple(sorted(changed.items())))
-
-    def shortest(self) -> int | None:
-        """Returns the fewest actions that lead to success, by breadth-first search."""
-        queue, seen = deque([(self.start, 0)]), {self.start}
-        while queue:
-            node, cost = queue.popleft()
-            for after, success in self.edges(node):
-                if success:
-                    return cost + 1
-                if after not in seen:
-                    seen.add(after)
-                    queue.append((after, cost + 1))
-        return None
-
-
-def model_of(pomdp: POMDP, state: State, actions: tuple[int, ...]) -> Model:
-    """Reads one lane (of NumPy arrays)."""
-    width, height = pomdp.task.width, pomdp.task.height
-    world = state.environment
-    inner = np.s_[PADDING:-PADDING, PADDING:-PADDING]
-    plane, marks = world.tiles[inner], world.marks[inner]
-    targets = None
-    if hasattr(state.task, "ghosts"):
-        ghosts = [[row >> x & 1 for row in map(int, state.task.ghosts[0])] for x in range(width)]
-        believed = (marks & 1).astype(int) ^ np.array(ghosts)
-        targets = {(int(x), int(y)) for x, y in np.argwhere(believed)}
-    return Model(
-        cells={(x, y): int(plane[x, y]) for x in range(width) for y in range(height)},
-        start=Node(*map(int, world.position), int(world.direction), int(world.carrying)),
-        targets=targets,
-        actions=actions,
-    )
 
 
 class Runner:
@@ -283,15 +172,16 @@ def has_many_doors(name: str) -> bool:
     return in_maze or name.startswith(("MiniGrid-MultiRoom", "MiniGrid-LockedRoom"))
 
 
-EXPERT_IDS = [
+OPTIMAL_IDS = [
     name
     for name in envs_jax.ids()
-    if name.startswith(("MiniGrid-", "BabyAI-")) and envs_jax.make(name).has_expert
+    if name.startswith(("MiniGrid-", "BabyAI-"))
+    and isinstance(envs_jax.make(name).task, GoalTask | GoToTask)
 ]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in EXPERT_IDS if not has_many_doors(name)])
+@pytest.mark.parametrize("name", [name for name in OPTIMAL_IDS if not has_many_doors(name)])
 def test_paths_are_shortest_in_every_world(name: str) -> None:
     for wandering in (0, 40):
         equal, compared = check_optimal(name, 400, wandering, seed=1)
@@ -300,7 +190,7 @@ def test_paths_are_shortest_in_every_world(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", EXPERT_IDS)
+@pytest.mark.parametrize("name", OPTIMAL_IDS)
 def test_solves_every_world_within_its_horizon(name: str) -> None:
     pomdp = envs_jax.make(name)
     runner = Runner(pomdp)
@@ -308,9 +198,3 @@ def test_solves_every_world_within_its_horizon(name: str) -> None:
     state = runner.reset(keys)
     steps, valid = runner.follow(keys, state, int(state.horizon[0]) + 1)
     assert np.mean(np.asarray((steps <= state.horizon) & valid)) >= 0.999
-
-
-def test_levels_beyond_the_planner_have_no_expert() -> None:
-    assert envs_jax.make("BabyAI-GoToObjMaze-v0").has_expert
-    for name in ("Open-v0", "Pickup-v0", "GoToSeq-v0", "GoToImpUnlock-v0", "BossLevel-v0"):
-        assert not envs_jax.make(f"BabyAI-{name}").has_expert

@@ -1,0 +1,88 @@
+"""Sets of cells as bitboards word[H] (see `planner`): neighbours, regions, safe places."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from envs_jax.minigrid.planner import Board
+
+
+def cell_board(cell: jax.Array, like: Board) -> Board:
+    """Returns the board with the one cell (x, y), int32[2]; as many rows and bits as `like`."""
+    rows = jnp.arange(len(like), dtype=jnp.int32) == cell[1]
+    return jnp.where(rows, jnp.ones((), like.dtype) << cell[0].astype(like.dtype), _none(like))
+
+
+def beside(cells: Board) -> Board:
+    """Returns the cells that share an edge with one of `cells`."""
+    return cells >> 1 | cells << 1 | _down(cells) | _up(cells)
+
+
+def around(cells: Board) -> Board:
+    """Returns `cells` and all that share an edge or a corner with one of them."""
+    wide = cells | cells >> 1 | cells << 1
+    return wide | _down(wide) | _up(wide)
+
+
+def spread(seeds: Board, passable: Board, until: Board) -> Board:
+    """Grows `seeds` through passable cells, until it has met a cell of `until` or is complete.
+
+    All cells of `until` that it has met then are equally far, in cells, from the nearest seed.
+    """
+
+    def grows(carry: tuple[Board, Board]) -> jax.Array:
+        before, now = carry
+        return jnp.any(before != now) & ~jnp.any(now & until != 0)
+
+    def grow(carry: tuple[Board, Board]) -> tuple[Board, Board]:
+        _, now = carry
+        return now, now | (beside(now) & passable)
+
+    _, reached = lax.while_loop(grows, grow, (jnp.zeros_like(seeds), seeds))
+    return reached
+
+
+def first_cell(cells: Board) -> jax.Array:
+    """Returns (x, y), int32[2], of one of `cells`; meaningless if there is none."""
+    y = jnp.argmax(cells != 0).astype(jnp.int32)
+    row = cells[y]
+    below = (row & (~row + 1)) - 1
+    return jnp.stack([lax.population_count(below).astype(jnp.int32), y])
+
+
+def dispensable(passable: Board) -> Board:
+    """Returns the cells that can be blocked without cutting their neighbours off from each other.
+
+    Going round a cell, its passable neighbours form runs; with no more than one that has a cell
+    sharing an edge with it, the ways through it have a way round it.
+    """
+    north, south = _down(passable), _up(passable)
+    ring = [
+        north,
+        north >> 1,
+        passable >> 1,
+        south >> 1,
+        south,
+        south << 1,
+        passable << 1,
+        north << 1,
+    ]
+    one = several = jnp.zeros_like(passable)
+    for side in range(0, 8, 2):
+        ends = ring[side] & ~(ring[side + 1] & ring[(side + 2) % 8])
+        one, several = one | ends, several | (one & ends)
+    return ~several
+
+
+def _none(like: Board) -> jax.Array:
+    return jnp.zeros((), like.dtype)
+
+
+def _down(cells: Board) -> Board:
+    return lax.pad(cells, _none(cells), [(1, -1, 0)])
+
+
+def _up(cells: Board) -> Board:
+    return lax.pad(cells, _none(cells), [(-1, 1, 0)])
