@@ -12,9 +12,14 @@ from envs_jax.minigrid.late_hands import LateHandsWorld
 from envs_jax.minigrid.missions import GO_TO_LENGTH, MISSION_LENGTH
 from envs_jax.minigrid.obstacles import ObstacleTask, ObstacleWorld
 from envs_jax.minigrid.rules import ErrandTask, RuleTask
+from envs_jax.minigrid.samplers.babyai.doors import OpenDoorSampler, OpenRedDoorSampler
 from envs_jax.minigrid.samplers.babyai.level import LevelSampler
+from envs_jax.minigrid.samplers.babyai.mazes import MazeSampler
 from envs_jax.minigrid.samplers.babyai.one_room import GoToSampler
+from envs_jax.minigrid.samplers.babyai.pickup import PickupDistSampler
 from envs_jax.minigrid.samplers.babyai.put_next import PutNextSampler
+from envs_jax.minigrid.samplers.babyai.unlock import UnlockLocalSampler, UnlockPickupSampler
+from envs_jax.minigrid.samplers.babyai.unlock import UnlockSampler as UnlockLevelSampler
 from envs_jax.minigrid.samplers.crossing import CrossingSampler
 from envs_jax.minigrid.samplers.dist_shift import DistShiftSampler
 from envs_jax.minigrid.samplers.door_key import DoorKeySampler
@@ -33,7 +38,12 @@ from envs_jax.minigrid.samplers.playground import PlaygroundSampler
 from envs_jax.minigrid.samplers.red_blue_doors import RedBlueDoorsSampler
 from envs_jax.minigrid.samplers.unlock import UnlockSampler
 from envs_jax.minigrid.sensors import VIEW_SIZE, DirectionSensor, ImageSensor, MissionSensor
-from envs_jax.minigrid.tasks import GoalTask, GoToTask, InstructionTask
+from envs_jax.minigrid.tasks import (
+    DemonstratedInstructionTask,
+    GoalTask,
+    GoToTask,
+    InstructionTask,
+)
 from envs_jax.registry import register
 from jaxact.pomdp import POMDP, Environment, Task, TaskSampler
 
@@ -144,6 +154,8 @@ _OBSTRUCTED_MAZES: dict[str, tuple[int, int, tuple[int, int], bool, bool]] = {
 }
 # Those of which there is a version 1, in which keys are never lost.
 _OBSTRUCTED_MAZES_V1 = ("2Dlhb", "1Q", "2Q", "Full")
+# Those that the expert of errands is known to solve.
+_DEMONSTRATED_MAZES = ("1Dl", "1Dlh", "1Dlhb")
 
 
 def _goal_worlds() -> dict[str, _World]:
@@ -214,12 +226,13 @@ def _room_grid_worlds() -> dict[str, _World]:
     for size, rows in _KEY_CORRIDORS:
         corridor = KeyCorridorSampler(size, rows, 30 * size**2)
         extent = corridor.grid.width, corridor.grid.height
-        worlds[f"KeyCorridorS{size}R{rows}-v0"] = _World(corridor, *extent, ErrandTask)
+        worlds[f"KeyCorridorS{size}R{rows}-v0"] = _World(corridor, *extent, RuleTask)
     for name, options in _OBSTRUCTED_MAZES.items():
         for version in (0, 1) if name in _OBSTRUCTED_MAZES_V1 else (0,):
             maze = ObstructedMazeSampler(*options, keys_last=version == 1)
             extent = maze.grid.width, maze.grid.height
-            worlds[f"ObstructedMaze-{name}-v{version}"] = _World(maze, *extent, ErrandTask)
+            task = ErrandTask if name in _DEMONSTRATED_MAZES else RuleTask
+            worlds[f"ObstructedMaze-{name}-v{version}"] = _World(maze, *extent, task)
     return worlds
 
 
@@ -228,13 +241,27 @@ def _one_room_world(sampler: GoToSampler) -> _World:
     return _World(sampler, size, size, GoToTask, mission_length=GO_TO_LENGTH)
 
 
+# Levels with instructions that the expert of errands is known to solve.
+_DEMONSTRATED_LEVELS = (
+    MazeSampler,
+    OpenDoorSampler,
+    OpenRedDoorSampler,
+    PickupDistSampler,
+    UnlockLevelSampler,
+    UnlockLocalSampler,
+    UnlockPickupSampler,
+)
+
+
 def _level_world(sampler: LevelSampler) -> _World:
     extent = sampler.grid.width, sampler.grid.height
     late_hands = isinstance(sampler, PutNextSampler) and sampler.start_carrying
+    is_demonstrated = isinstance(sampler, _DEMONSTRATED_LEVELS)
+    general = DemonstratedInstructionTask if is_demonstrated else InstructionTask
     return _World(
         sampler,
         *extent,
-        task=GoToTask if sampler.is_go_to else partial(InstructionTask, beliefs=sampler.beliefs),
+        task=GoToTask if sampler.is_go_to else partial(general, beliefs=sampler.beliefs),
         environment=LateHandsWorld(*extent) if late_hands else None,
         mission_length=sampler.mission_length,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -18,7 +18,7 @@ from envs_jax.minigrid.late_hands import NOWHERE, LateHandsState, LateHandsWorld
 from envs_jax.minigrid.missions import COLOR_WORDS, MISSION_LENGTH, encode_mission, word_tokens
 from envs_jax.minigrid.obstacles import ObstacleState, ObstacleTask, ObstacleWorld
 from envs_jax.minigrid.rule_import import ImportedRule, import_rule
-from envs_jax.minigrid.rules import PLAY, ErrandTask, RuleTask
+from envs_jax.minigrid.rules import RuleTask
 from envs_jax.minigrid.sensors import MissionSensor
 from envs_jax.minigrid.state import CONTENTS_SHIFT, PADDING, GridState
 from envs_jax.minigrid.tasks import GoalState, GoalTask
@@ -148,8 +148,8 @@ def _import_task(
     """Returns the task and its state."""
     size = (int(env.width), int(env.height))
     if isinstance(about, ImportedRule):
-        task_type = RuleTask if about.number == PLAY else ErrandTask
-        return task_type(*size), about.state(env, mission)
+        task = own.task if own is not None and isinstance(own.task, RuleTask) else RuleTask(*size)
+        return replace(task, width=size[0], height=size[1]), about.state(env, mission)
     if isinstance(about, ImportedInstruction):
         task = about.task(size, None if own is None else own.task)
         return task, about.state(task, mission)

@@ -107,7 +107,7 @@ class RuleTask(Task):
 
 @dataclass(frozen=True)
 class ErrandTask(RuleTask):
-    """A `RuleTask` whose rule is not `PLAY`; this task has an expert."""
+    """A `RuleTask` of a world that the expert of errands is known to solve."""
 
     def expert(self, key: jax.Array, task_state: RuleState, state: GridState) -> ExpertAction:
         """Returns the next action towards what the rule asks for; see `errand_expert`."""

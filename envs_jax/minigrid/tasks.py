@@ -143,14 +143,6 @@ class InstructionTask(Task):
             metrics={},
         )
 
-    def expert(
-        self, key: jax.Array, task_state: InstructionState, state: GridState
-    ) -> ExpertAction:
-        """Returns the next action towards the first clause not done; see `errand_expert`."""
-        del key
-        subgoal = instruction_subgoal(*self._read(task_state), task_state.ghosts, state)
-        return errand_expert(subgoal, state, self.height)
-
     def _read(self, task_state: InstructionState) -> tuple[Program, Progress]:
         assert task_state.program is not None
         assert task_state.progress is not None
@@ -158,6 +150,19 @@ class InstructionTask(Task):
 
     def _write(self, task_state: InstructionState, progress: Progress) -> InstructionState:
         return replace(task_state, progress=progress.pack())
+
+
+@dataclass(frozen=True)
+class DemonstratedInstructionTask(InstructionTask):
+    """An `InstructionTask` of a level that the expert of errands is known to solve."""
+
+    def expert(
+        self, key: jax.Array, task_state: InstructionState, state: GridState
+    ) -> ExpertAction:
+        """Returns the next action towards the first clause not done; see `errand_expert`."""
+        del key
+        subgoal = instruction_subgoal(*self._read(task_state), task_state.ghosts, state)
+        return errand_expert(subgoal, state, self.height)
 
 
 @dataclass(frozen=True)
