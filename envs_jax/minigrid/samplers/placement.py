@@ -129,6 +129,7 @@ def until_valid(key: jax.Array, draw: Callable[[jax.Array], tuple[Any, jax.Array
         depend on other traced values.
     """
 
+    @jax.jit  # So that it is traced once.
     def attempt(key: jax.Array) -> tuple[jax.Array, Any, jax.Array]:
         next_key, draw_key = jax.random.split(key)
         return next_key, *draw(draw_key)
