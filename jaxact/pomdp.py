@@ -117,6 +117,15 @@ class Step:
         """Bool: the episode is over, for either reason."""
         return self.terminated | self.truncated
 
+    @property
+    def info(self) -> dict[str, jax.Array]:
+        """Scalars by flat names: "success", "reward/<component>" and "task/<metric>"."""
+        return {
+            "success": self.success,
+            **{f"reward/{name}": value for name, value in self.reward_terms.items()},
+            **{f"task/{name}": value for name, value in self.metrics.items()},
+        }
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ class TrainState:
     block: jax.Array
 
 
-def make_key(seed: int) -> jax.Array:
+def make_key(seed: int | jax.Array) -> jax.Array:
     """Returns the PRNG key of a run."""
     return jax.random.key(seed, impl=PRNG_IMPLEMENTATION)
 
