@@ -1,11 +1,11 @@
 """Worlds as Gymnasium environments, for libraries that step them from Python.
 
 The world itself is compiled; what each step costs besides is the way from Python to the device and
-back. Training with jaxact has no such way, and is faster by orders of magnitude.
+back, which training with jaxact has not.
 
-The chance in episode e after `reset(seed=s)` is a function of s and e, in lane i of a vector of
-s + i and e, whatever the number of lanes: of `key = fold_in(jaxact.make_key(s), e)`, which is split
-into the keys of its reset and of its steps; step t has `fold_in(step_key, t)`.
+All chance in episode e after `reset(seed=s)` is from `fold_in(jaxact.make_key(s), e)`, which is
+split into the key of its reset and that of its steps; into the latter step t folds t. Lane i of a
+vector has the episodes of an environment with the seed s + i.
 """
 
 from __future__ import annotations
