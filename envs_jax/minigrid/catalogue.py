@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
+from envs_jax.minigrid import babyai
 from envs_jax.minigrid.environment import GridWorld
+from envs_jax.minigrid.late_hands import LateHandsWorld
+from envs_jax.minigrid.missions import GO_TO_LENGTH, MISSION_LENGTH
 from envs_jax.minigrid.obstacles import ObstacleTask, ObstacleWorld
 from envs_jax.minigrid.rules import RuleTask
-from envs_jax.minigrid.samplers.babyai import GoToSampler, Target
+from envs_jax.minigrid.samplers.babyai.level import LevelSampler
+from envs_jax.minigrid.samplers.babyai.one_room import GoToSampler
+from envs_jax.minigrid.samplers.babyai.put_next import PutNextSampler
 from envs_jax.minigrid.samplers.crossing import CrossingSampler
 from envs_jax.minigrid.samplers.dist_shift import DistShiftSampler
 from envs_jax.minigrid.samplers.door_key import DoorKeySampler
@@ -27,7 +33,7 @@ from envs_jax.minigrid.samplers.playground import PlaygroundSampler
 from envs_jax.minigrid.samplers.red_blue_doors import RedBlueDoorsSampler
 from envs_jax.minigrid.samplers.unlock import UnlockSampler
 from envs_jax.minigrid.sensors import VIEW_SIZE, DirectionSensor, ImageSensor, MissionSensor
-from envs_jax.minigrid.tasks import GoalTask, InstructionTask
+from envs_jax.minigrid.tasks import GoalTask, GoToTask, InstructionTask
 from envs_jax.registry import register
 from jaxact.pomdp import POMDP, Environment, Task, TaskSampler
 
@@ -41,10 +47,19 @@ def compose(
     environment: Environment | None = None,
     see_through_walls: bool = False,
     view_size: int = VIEW_SIZE,
+    mission_length: int = MISSION_LENGTH,
 ) -> POMDP:
     """Composes a grid world with MiniGrid's three observations: image, direction and mission.
 
-    Without an `environment` of its own the world has the dynamics that most worlds share.
+    Args:
+      task: reward and end of an episode.
+      sampler: where episodes begin.
+      width: cells along x.
+      height: cells along y.
+      environment: the dynamics; by default those that most worlds share.
+      see_through_walls: whether walls and shut doors hide nothing.
+      view_size: cells along a side of the agent's view.
+      mission_length: words that the longest mission needs.
 
     Raises:
       JaxactError: `view_size` is not odd, or not in 3 … 31.
@@ -52,20 +67,21 @@ def compose(
     sensors = {
         "image": ImageSensor(width, height, view_size, see_through_walls),
         "direction": DirectionSensor(),
-        "mission": MissionSensor(),
+        "mission": MissionSensor(mission_length),
     }
     return POMDP(environment or GridWorld(width, height), task, sampler, sensors)
 
 
 class _World(NamedTuple):
-    """A row of the table of MiniGrid's own worlds."""
+    """A row of the table of worlds; the task is yet to be told width and height."""
 
     sampler: TaskSampler
     width: int
     height: int
-    task: type[GoalTask] | type[RuleTask] | type[ObstacleTask] = GoalTask
+    task: Callable[[int, int], Task] = GoalTask
     environment: Environment | None = None
     see_through_walls: bool = False
+    mission_length: int = MISSION_LENGTH
 
 
 def _grid_world(world: _World, view_size: int = VIEW_SIZE) -> POMDP:
@@ -77,37 +93,9 @@ def _grid_world(world: _World, view_size: int = VIEW_SIZE) -> POMDP:
         environment=world.environment,
         see_through_walls=world.see_through_walls,
         view_size=view_size,
+        mission_length=world.mission_length,
     )
 
-
-def _go_to_world(sampler: GoToSampler, view_size: int = VIEW_SIZE) -> POMDP:
-    size = sampler.size
-    return compose(InstructionTask(size, size), sampler, size, size, view_size=view_size)
-
-
-# BabyAI's one-room GoTo levels: room size, objects in all, target.
-_GO_TO: dict[str, tuple[int, int, Target]] = {
-    "GoToRedBallGrey-v0": (8, 8, "red ball among grey"),
-    "GoToRedBall-v0": (8, 8, "red ball"),
-    "GoToRedBallNoDists-v0": (8, 1, "red ball"),
-    "GoToRedBlueBall-v0": (8, 8, "red or blue ball"),
-    "GoToObj-v0": (8, 1, "any"),
-    "GoToObjS4-v0": (4, 1, "any"),
-    "GoToObjS6-v1": (6, 1, "any"),
-    "GoToLocal-v0": (8, 8, "any"),
-    "GoToLocalS5N2-v0": (5, 2, "any"),
-    "GoToLocalS6N2-v0": (6, 2, "any"),
-    "GoToLocalS6N3-v0": (6, 3, "any"),
-    "GoToLocalS6N4-v0": (6, 4, "any"),
-    "GoToLocalS7N4-v0": (7, 4, "any"),
-    "GoToLocalS7N5-v0": (7, 5, "any"),
-    "GoToLocalS8N2-v0": (8, 2, "any"),
-    "GoToLocalS8N3-v0": (8, 3, "any"),
-    "GoToLocalS8N4-v0": (8, 4, "any"),
-    "GoToLocalS8N5-v0": (8, 5, "any"),
-    "GoToLocalS8N6-v0": (8, 6, "any"),
-    "GoToLocalS8N7-v0": (8, 7, "any"),
-}
 
 # Sizes of the worlds whose id ends in -{size}x{size}-v0, and crossings as (size, rivers).
 _EMPTY_SIZES = (5, 6, 8, 16)
@@ -235,11 +223,29 @@ def _room_grid_worlds() -> dict[str, _World]:
     return worlds
 
 
+def _one_room_world(sampler: GoToSampler) -> _World:
+    size = sampler.size
+    return _World(sampler, size, size, GoToTask, mission_length=GO_TO_LENGTH)
+
+
+def _level_world(sampler: LevelSampler) -> _World:
+    extent = sampler.grid.width, sampler.grid.height
+    late_hands = isinstance(sampler, PutNextSampler) and sampler.start_carrying
+    return _World(
+        sampler,
+        *extent,
+        task=GoToTask if sampler.is_go_to else partial(InstructionTask, beliefs=sampler.beliefs),
+        environment=LateHandsWorld(*extent) if late_hands else None,
+        mission_length=sampler.mission_length,
+    )
+
+
 def register_all() -> None:
     """Registers every grid world under Farama's id; all take the option `view_size`."""
     worlds = _goal_worlds() | _rule_worlds() | _room_grid_worlds() | _obstacle_worlds()
     for name, world in worlds.items():
         register(f"MiniGrid-{name}", partial(_grid_world, world))
-    for name, (size, objects, target) in _GO_TO.items():
-        sampler = GoToSampler(size, objects, size**2, target)
-        register(f"BabyAI-{name}", partial(_go_to_world, sampler))
+    for name, go_to_sampler in babyai.one_room_levels().items():
+        register(f"BabyAI-{name}", partial(_grid_world, _one_room_world(go_to_sampler)))
+    for name, level_sampler in babyai.levels().items():
+        register(f"BabyAI-{name}", partial(_grid_world, _level_world(level_sampler)))

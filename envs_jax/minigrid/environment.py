@@ -20,11 +20,13 @@ def _mask(*kinds: int) -> int:
     return sum(1 << kind for kind in kinds)
 
 
-# Bit `kind` says whether the agent may stand on, or take up, a tile of that type.
+# Sets of tile types, see `is_kind`: what the agent may stand on, what it may take up, and doors.
 PASSABLE = _mask(
     tiles.EMPTY, tiles.FLOOR, tiles.OPEN_DOOR, tiles.OPEN_LOCKED_DOOR, tiles.GOAL, tiles.LAVA
 )
 PORTABLE = _mask(tiles.KEY, tiles.BALL, tiles.BOX)
+OPEN_DOORS = _mask(tiles.OPEN_DOOR, tiles.OPEN_LOCKED_DOOR)
+DOORS = OPEN_DOORS | _mask(tiles.CLOSED_DOOR, tiles.LOCKED_DOOR)
 
 
 def is_kind(code: jax.Array, kinds: int) -> jax.Array:

@@ -101,7 +101,7 @@ def goto_expert(
 
     Args:
       key: unused, the expert is deterministic.
-      task_state: the instruction's progress; of it, `ghosts` uint32[descriptions, H] is read: cells
+      task_state: the instruction's progress; of it, `ghosts` uint32[beliefs, H] is read: cells
         (bit x of row y) where belief and world disagree.
       state: the world.
       width: cells of the grid along x, at most 32.

@@ -9,15 +9,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from envs_jax import registry
 from envs_jax.minigrid import tiles
 from envs_jax.minigrid.catalogue import compose
 from envs_jax.minigrid.environment import GridWorld
-from envs_jax.minigrid.missions import COLOR_WORDS, encode_mission
+from envs_jax.minigrid.instruction_import import ImportedInstruction
+from envs_jax.minigrid.late_hands import NOWHERE, LateHandsState, LateHandsWorld
+from envs_jax.minigrid.missions import COLOR_WORDS, MISSION_LENGTH, encode_mission, word_tokens
 from envs_jax.minigrid.obstacles import ObstacleState, ObstacleTask, ObstacleWorld
-from envs_jax.minigrid.rule_import import import_rule
+from envs_jax.minigrid.rule_import import ImportedRule, import_rule
 from envs_jax.minigrid.rules import RuleTask
+from envs_jax.minigrid.sensors import MissionSensor
 from envs_jax.minigrid.state import CONTENTS_SHIFT, PADDING, GridState
-from envs_jax.minigrid.tasks import GoalState, GoalTask, InstructionState, InstructionTask
+from envs_jax.minigrid.tasks import GoalState, GoalTask
 from jaxact.errors import JaxactError
 from jaxact.pomdp import POMDP, Environment, Episode, PyTree, State, Task, TaskSampler
 
@@ -30,6 +34,8 @@ _KINDS = {
     "goal": tiles.GOAL,
     "lava": tiles.LAVA,
 }
+# What an environment is about; None where there is but a goal square to reach.
+_About = ImportedRule | ImportedInstruction | None
 
 
 @dataclass(frozen=True)
@@ -73,8 +79,10 @@ def from_minigrid(env: Any) -> tuple[POMDP, State]:
 
     Returns:
       The POMDP, whose sampler yields this very episode (what is left of it), and its state. Goal
-      worlds come out with a `GoalTask`, BabyAI's GoTo levels with an `InstructionTask`,
-      Dynamic-Obstacles with an `ObstacleTask`, MiniGrid's other worlds with a `RuleTask`.
+      worlds come out with a `GoalTask`, BabyAI's levels with an `InstructionTask`,
+      Dynamic-Obstacles with an `ObstacleTask`, MiniGrid's other worlds with a `RuleTask`. An
+      environment with an id of `envs_jax.ids()` comes out with that world's own task and sensors,
+      so that all its episodes have one structure.
 
     Raises:
       JaxactError: `env` is no such environment, or follows rules that are not supported, or holds
@@ -86,8 +94,12 @@ def from_minigrid(env: Any) -> tuple[POMDP, State]:
         raise JaxactError(f"from_minigrid takes an unwrapped MiniGridEnv; got {type(env).__name__}")
     if env.agent_pos is None:
         raise JaxactError(f"{_name(env)} was never reset; call env.reset() before from_minigrid")
-    task, task_state, description = _import_task(env)
-    environment, world = _import_environment(env, _import_grid(env, description))
+    about = _import_about(env)
+    own = registry.make(_name(env)) if _name(env) in registry.ids() else None
+    length = _mission_length(env, own)
+    mission = jnp.asarray(encode_mission(env.mission, length))
+    task, task_state = _import_task(env, about, mission, own)
+    environment, world = _import_environment(env, _import_grid(env, about))
     pomdp = compose(
         task,
         FixedSampler.of(Episode(world, task_state, jnp.int32(env.max_steps - env.step_count))),
@@ -96,6 +108,7 @@ def from_minigrid(env: Any) -> tuple[POMDP, State]:
         environment=environment,
         see_through_walls=bool(env.see_through_walls),
         view_size=int(env.agent_view_size),
+        mission_length=length,
     )
     state = State(world, task_state, jnp.int32(env.step_count), jnp.int32(env.max_steps))
     return pomdp, state
@@ -105,81 +118,71 @@ def _name(env: Any) -> str:
     return env.spec.id if env.spec is not None else type(env).__name__
 
 
+def _import_about(env: Any) -> _About:
+    """Returns what `env` is about."""
+    from minigrid.envs.babyai.core.roomgrid_level import RoomGridLevel
+    from minigrid.minigrid_env import MiniGridEnv
+
+    rule = import_rule(env)
+    if rule is not None or type(env).step is MiniGridEnv.step or _has_obstacles(env):
+        return rule
+    if type(env).step is RoomGridLevel.step:
+        return ImportedInstruction.of(env, _name(env))
+    raise JaxactError(
+        f"{_name(env)} ends by rules that from_minigrid does not know; supported are the worlds "
+        "registered as MiniGrid-… and BabyAI-…, and others that keep MiniGridEnv.step or "
+        "RoomGridLevel.step"
+    )
+
+
+def _mission_length(env: Any, own: POMDP | None) -> int:
+    """Returns how many words the longest mission has in worlds such as `env`."""
+    sensor = own.sensors.get("mission") if own is not None else None
+    length = sensor.length if isinstance(sensor, MissionSensor) else MISSION_LENGTH
+    return max(length, len(word_tokens(env.mission)))
+
+
+def _import_task(
+    env: Any, about: _About, mission: jax.Array, own: POMDP | None
+) -> tuple[Task, PyTree]:
+    """Returns the task and its state."""
+    size = (int(env.width), int(env.height))
+    if isinstance(about, ImportedRule):
+        return RuleTask(*size), about.state(env, mission)
+    if isinstance(about, ImportedInstruction):
+        task = about.task(size, None if own is None else own.task)
+        return task, about.state(task, mission)
+    state = GoalState(jnp.int32(env.step_count), jnp.int32(env.max_steps), mission)
+    return ObstacleTask(*size) if _has_obstacles(env) else GoalTask(*size), state
+
+
 def _import_environment(env: Any, world: GridState) -> tuple[Environment, GridState]:
     """Returns the environment, and its state, of which `world` is what all of them have."""
-    from minigrid.envs import DynamicObstaclesEnv, MemoryEnv
+    from minigrid.envs import MemoryEnv
+    from minigrid.envs.babyai import PutNext
 
     size = (int(env.width), int(env.height))
-    if type(env).step is DynamicObstaclesEnv.step:
+    if _has_obstacles(env):
         obstacles = [ball.cur_pos for ball in env.obstacles]
         return ObstacleWorld(*size), ObstacleState.of(world, jnp.asarray(obstacles, jnp.int32))
+    if isinstance(env, PutNext) and env.start_carrying:
+        return LateHandsWorld(*size), LateHandsState.of(world, jnp.array(NOWHERE, jnp.int32))
     return GridWorld(*size, pickup_toggles=type(env).step is MemoryEnv.step), world
 
 
-def _import_task(env: Any) -> tuple[Task, PyTree, Any]:
-    """Returns the task, its state, and the description of the objects to go to (or None)."""
+def _has_obstacles(env: Any) -> bool:
     from minigrid.envs import DynamicObstaclesEnv
-    from minigrid.envs.babyai.core.roomgrid_level import RoomGridLevel
-    from minigrid.envs.babyai.core.verifier import GoToInstr, ObjDesc
-    from minigrid.minigrid_env import MiniGridEnv
 
-    size = (int(env.width), int(env.height))
-    steps, max_steps = jnp.int32(env.step_count), jnp.int32(env.max_steps)
-    known = import_rule(env)
-    if known is not None:
-        # Described as an instruction does that means this very object, whatever it looks like.
-        description = ObjDesc(None)
-        description.obj_set = [] if known.tracked is None else [known.tracked]
-        return RuleTask(*size), known.state(env), description
-    rule = type(env).step
-    if rule in (MiniGridEnv.step, DynamicObstaclesEnv.step):
-        task = GoalTask(*size) if rule is MiniGridEnv.step else ObstacleTask(*size)
-        mission = jnp.asarray(encode_mission(env.mission))
-        return task, GoalState(steps, max_steps, mission), None
-    if rule is RoomGridLevel.step and type(env.instrs) is GoToInstr:
-        mission = jnp.asarray(encode_mission(env.mission))
-        ghosts = jnp.asarray(_ghosts(env, env.instrs.desc))
-        state = InstructionState(steps, max_steps, mission, ghosts)
-        return InstructionTask(*size), state, env.instrs.desc
-    raise JaxactError(
-        f"{_name(env)} ends by rules that from_minigrid does not know; supported are the worlds "
-        "registered as MiniGrid-…, others that keep MiniGridEnv.step, and BabyAI levels whose "
-        "instruction is one GoTo"
-    )
+    return type(env).step is DynamicObstaclesEnv.step
 
 
-def _cells(env: Any) -> list[tuple[int, int, Any]]:
-    """Returns (x, y, object) of all cells that are not empty."""
-    cells = [(x, y, env.grid.get(x, y)) for x in range(env.width) for y in range(env.height)]
-    return [cell for cell in cells if cell[2] is not None]
-
-
-def _fits(thing: Any, description: Any) -> bool:
-    """Whether `description` will find `thing` again when it next looks (it follows identities)."""
-    return (
-        description is not None
-        and any(thing is other for other in description.obj_set)
-        and description.type in (None, thing.type)
-        and description.color in (None, thing.color)
-    )
-
-
-def _ghosts(env: Any, description: Any) -> np.ndarray:
-    """Returns uint32[1, height]: where `description` errs about where its objects are."""
-    believed = {(int(x), int(y)) for x, y in description.obj_poss}
-    actual = {(x, y) for x, y, thing in _cells(env) if _fits(thing, description)}
-    rows = np.zeros((1, env.height), np.uint32)
-    for x, y in believed ^ actual:
-        rows[0, y] |= np.uint32(1 << x)
-    return rows
-
-
-def _import_grid(env: Any, description: Any) -> GridState:
+def _import_grid(env: Any, about: _About) -> GridState:
     plane = np.full((env.width, env.height), tiles.EMPTY_TILE, np.uint8)
     marks = np.zeros((env.width, env.height), np.uint16)
-    for x, y, thing in _cells(env):
-        plane[x, y] = _tile(env, thing)
-        marks[x, y] = _mark(env, thing, description)
+    for x, y in np.ndindex(plane.shape):
+        thing = env.grid.get(x, y)
+        if thing is not None:
+            plane[x, y], marks[x, y] = _tile(env, thing), _mark(env, thing, about)
     held = env.carrying
     return GridState(
         tiles=jnp.asarray(np.pad(plane, PADDING, constant_values=tiles.WALL_TILE)),
@@ -187,7 +190,7 @@ def _import_grid(env: Any, description: Any) -> GridState:
         position=jnp.asarray(np.asarray(env.agent_pos, np.int32)),
         direction=jnp.int32(env.agent_dir),
         carrying=jnp.uint8(0 if held is None else _tile(env, held)),
-        carrying_mark=jnp.uint16(0 if held is None else _mark(env, held, description)),
+        carrying_mark=jnp.uint16(0 if held is None else _mark(env, held, about)),
     )
 
 
@@ -205,13 +208,13 @@ def _tile(env: Any, thing: Any) -> int:
     return tiles.tile(kind, COLOR_WORDS.index(thing.color))
 
 
-def _mark(env: Any, thing: Any, description: Any) -> int:
-    """Returns the mark of a MiniGrid object: whether it is tracked, and what it contains."""
-    mark = int(_fits(thing, description))
+def _mark(env: Any, thing: Any, about: _About) -> int:
+    """Returns the mark of a MiniGrid object: what it is tracked for, and what it contains."""
+    mark = 0 if about is None else about.mark(thing)
     content = getattr(thing, "contains", None)
     if thing.type != "box" or content is None:
         return mark
-    if content.type != "key" or _fits(content, description):
+    if content.type != "key" or (about is not None and about.mark(content)):
         raise JaxactError(
             f"{_name(env)} has a box with a {content.type} in it; boxes may contain keys (but not "
             "one that the instruction is about)"

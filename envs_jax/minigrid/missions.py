@@ -1,7 +1,7 @@
 """Missions as tokens: the words of every MiniGrid and BabyAI mission, numbered.
 
-Inside compiled code a mission is made from data (`go_to`, `fill`), never from text; text is for
-people.
+Inside compiled code a mission is made from data (`go_to`, `fill`, and `sentences`), never from
+text; text is for people.
 """
 
 from __future__ import annotations
@@ -25,9 +25,13 @@ reach red right room rooms square the then to traverse unlock up use yellow you 
 """
 VOCABULARY = ("<pad>", *sorted(_WORDS.split()))
 VOCABULARY_SIZE = len(VOCABULARY)
-# The longest mission of the registered worlds, LockedRoom's. All worlds share it, so that their
-# observations stack.
+# The longest mission of the registered MiniGrid worlds, LockedRoom's. All of them share it, so that
+# their observations stack. BabyAI's levels have their own, the length of the longest mission that a
+# level can make: 3 to 72 words.
 MISSION_LENGTH = 18
+
+# Words of a mission that `go_to` makes.
+GO_TO_LENGTH = 5
 
 _TOKENS = {word: token for token, word in enumerate(VOCABULARY)}
 _KIND_WORDS = {tiles.KEY: "key", tiles.BALL: "ball", tiles.BOX: "box", tiles.OPEN_DOOR: "door"}
@@ -40,22 +44,38 @@ KIND_TOKENS = np.array(
 COLOR_TOKENS = np.array([_TOKENS[word] for word in COLOR_WORDS], np.int32)
 
 
-def encode_mission(text: str) -> np.ndarray:
-    """Turns a mission into tokens int32[MISSION_LENGTH], padded with `PAD` at the end.
+def word_tokens(text: str) -> list[int]:
+    """Returns the tokens of a text's words and commas.
+
+    Raises:
+      JaxactError: a word is not in the vocabulary.
+    """
+    words = _split(text)
+    for word in words:
+        if word not in _TOKENS:
+            raise unknown("mission word", word, VOCABULARY[1:])
+    return [_TOKENS[word] for word in words]
+
+
+def _split(text: str) -> list[str]:
+    """Returns a text's words and commas."""
+    return text.replace(",", " ,").split()
+
+
+def encode_mission(text: str, length: int = MISSION_LENGTH) -> np.ndarray:
+    """Turns a mission into tokens int32[length], padded with `PAD` at the end.
 
     Raises:
       JaxactError: a word is not in the vocabulary, or the mission is too long.
     """
-    words = text.replace(",", " ,").split()
-    for word in words:
-        if word not in _TOKENS:
-            raise unknown("mission word", word, VOCABULARY[1:])
-    if len(words) > MISSION_LENGTH:
+    words = word_tokens(text)
+    if len(words) > length:
         raise JaxactError(
-            f"the mission {text!r} has {len(words)} words; missions have at most {MISSION_LENGTH}"
+            f"the mission {text!r} has {len(words)} words; missions of its world have at most "
+            f"{length}"
         )
-    tokens = np.full(MISSION_LENGTH, PAD, np.int32)
-    tokens[: len(words)] = [_TOKENS[word] for word in words]
+    tokens = np.full(length, PAD, np.int32)
+    tokens[: len(words)] = words
     return tokens
 
 
@@ -78,7 +98,7 @@ def decode_mission(tokens: Sequence[int] | np.ndarray | jax.Array | Any) -> str:
 
 
 def go_to(kind: jax.Array, color: jax.Array, several: jax.Array) -> jax.Array:
-    """Returns the tokens int32[MISSION_LENGTH] of "go to the/a {color} {kind}".
+    """Returns the tokens int32[GO_TO_LENGTH] of "go to the/a {color} {kind}".
 
     Args:
       kind: integer scalar, tile type of what to go to.
@@ -92,7 +112,7 @@ def go_to(kind: jax.Array, color: jax.Array, several: jax.Array) -> jax.Array:
         jnp.asarray(COLOR_TOKENS)[color],
         jnp.asarray(KIND_TOKENS)[kind],
     ]
-    return jnp.pad(jnp.stack(words), (0, MISSION_LENGTH - len(words)), constant_values=PAD)
+    return jnp.stack(words)
 
 
 def fill(template: str, *words: jax.Array) -> jax.Array:
@@ -106,7 +126,7 @@ def fill(template: str, *words: jax.Array) -> jax.Array:
       JaxactError: a word is not in the vocabulary, or the sentence is too long.
     """
     places = [f"{{{number}}}" for number in range(len(words))]
-    text = template.replace(",", " ,").split()
+    text = _split(template)
     known = encode_mission(" ".join("a" if word in places else word for word in text))
     tokens = jnp.asarray(known)
     for place, word in zip(places, words, strict=True):

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from envs_jax.minigrid import rules, tiles
-from envs_jax.minigrid.missions import COLOR_WORDS, encode_mission
+from envs_jax.minigrid.missions import COLOR_WORDS
 from envs_jax.minigrid.rules import RuleState
 from jaxact.errors import JaxactError
 
@@ -31,7 +32,11 @@ class ImportedRule:
     cells: tuple[tuple[int, int], ...] = ()
     tracked: Any = None
 
-    def state(self, env: Any) -> RuleState:
+    def mark(self, thing: Any) -> int:
+        """Returns the low byte of an object's mark: 1 if it is the tracked one, else 0."""
+        return int(thing is self.tracked)
+
+    def state(self, env: Any, mission: jax.Array) -> RuleState:
         """Returns the task's state in `env` as it stands."""
         cells = [*self.cells, (0, 0), (0, 0)][:2]
         things = [env.grid.get(*cell) for cell in cells]
@@ -39,7 +44,7 @@ class ImportedRule:
         return RuleState(
             steps=jnp.int32(env.step_count),
             max_steps=jnp.int32(env.max_steps),
-            mission=jnp.asarray(encode_mission(env.mission)),
+            mission=mission,
             rule=jnp.int32(self.number),
             target=jnp.uint8(self.target),
             cells=jnp.asarray(cells, jnp.int32),

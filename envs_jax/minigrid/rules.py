@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
-from envs_jax.minigrid import tiles
 from envs_jax.minigrid.environment import (
     DONE,
     DROP,
+    OPEN_DOORS,
     PICKUP,
     TOGGLE,
     at_index,
@@ -27,8 +27,6 @@ from jaxact.pomdp import Outcome, Task
 
 # What an episode is about; `RuleTask` says when it ends.
 PLAY, PICK_UP, OPEN, FETCH, GO_NEXT_TO, PUT_NEAR, MATCH, OPEN_IN_TURN = range(8)
-
-_OPEN_DOORS = 1 << tiles.OPEN_DOOR | 1 << tiles.OPEN_LOCKED_DOOR
 
 
 @jax.tree_util.register_dataclass
@@ -60,7 +58,7 @@ class RuleTask(Task):
     """Do what the episode's rule asks for.
 
     - `PLAY`: nothing.
-    - `PICK_UP`: pick up the object that description 0 tracks.
+    - `PICK_UP`: pick up the object that is tracked.
     - `OPEN`: toggle, so that the door in the first cell stands open.
     - `FETCH`: have an object in hand that looks like the target; any other object ends it.
     - `GO_NEXT_TO`: take the action done next to the first cell; elsewhere, or with the action
@@ -99,7 +97,7 @@ class RuleTask(Task):
     def _opened(self, cells: jax.Array, state: GridState) -> jax.Array:
         """Returns bool[2], whether open doors stand in `cells`."""
         found = [at_index(state.tiles, cell_index(cell, self.height)) for cell in cells]
-        return is_kind(jnp.stack(found), _OPEN_DOORS)
+        return is_kind(jnp.stack(found), OPEN_DOORS)
 
 
 def _judge(

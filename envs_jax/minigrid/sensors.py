@@ -161,12 +161,14 @@ class DirectionSensor(Sensor):
 
 @dataclass(frozen=True)
 class MissionSensor(Sensor):
-    """The mission, int32[MISSION_LENGTH] tokens; `decode_mission` turns them into text."""
+    """The mission, int32[length] tokens; `decode_mission` turns them into text."""
+
+    length: int = missions.MISSION_LENGTH
 
     @property
     def space(self) -> Box:
         """Tokens of the vocabulary."""
-        return Box(0, missions.VOCABULARY_SIZE - 1, (missions.MISSION_LENGTH,), "int32")
+        return Box(0, missions.VOCABULARY_SIZE - 1, (self.length,), "int32")
 
     def observe(self, state: GridState, task_state: PyTree) -> jax.Array:
         """Returns the tokens."""

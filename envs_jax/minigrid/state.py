@@ -10,9 +10,10 @@ import jax
 # MiniGrid).
 PADDING = 6
 
-# A mark, uint16 a cell, travels with the object that stands there. Low byte: bit i says that the
-# object is tracked by description i of the instruction. Bits 8–10: what a box contains, as a key's
-# colour + 1 (only keys are ever contained), 0 when it is empty.
+# A mark, uint16 a cell, travels with the object that stands there. Low byte: what the task tracks
+# it for; an instruction uses all of these bits (see `instructions`), a rule the lowest (see
+# `rules`). Bits 8–10: what a box contains, as a key's colour + 1 (only keys are ever contained),
+# 0 when it is empty.
 TRACKED_MASK = 255
 CONTENTS_SHIFT = 8
 

@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 
 from envs_jax.minigrid import expert as experts
-from envs_jax.minigrid import tiles
-from envs_jax.minigrid.environment import DROP, FORWARD, at_index, front_index, heading
+from envs_jax.minigrid import instructions, tiles
+from envs_jax.minigrid.environment import FORWARD, at_index, front_index
+from envs_jax.minigrid.instructions import Program, Progress
 from envs_jax.minigrid.state import GridState
 from jaxact.pomdp import ExpertAction, Outcome, Task
 
@@ -35,23 +36,23 @@ class GoalState:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class InstructionState:
-    """Progress of an `InstructionTask`.
-
-    An instruction speaks of objects by descriptions. Description i tracks the objects whose marks
-    have bit i set; where it believes them to be is looked up anew only when the agent drops
-    something, or tries to, so a belief can be stale.
+    """Progress of an `InstructionTask`; see `instructions` for what the words mean.
 
     Attributes:
       steps: int32 scalar, steps taken so far.
       max_steps: int32 scalar, the horizon that rewards are measured by.
-      mission: int32[MISSION_LENGTH] tokens.
-      ghosts: uint32[descriptions, height], bit x of row y: description i errs about cell (x, y).
-        In play such a cell is one that a tracked object has left: it is still believed there.
+      mission: int32[length] tokens.
+      program: uint32 scalar, a packed `instructions.Program`; None in a `GoToTask`.
+      progress: uint8 scalar, a packed `instructions.Progress`; None likewise.
+      ghosts: uint32[beliefs, height], bit x of row y: clause i errs about cell (x, y). In play such
+        a cell is one that a place of the clause has left: it is still believed there.
     """
 
     steps: jax.Array
     max_steps: jax.Array
     mission: jax.Array
+    program: jax.Array | None
+    progress: jax.Array | None
     ghosts: jax.Array
 
 
@@ -105,60 +106,67 @@ class GoalTask(Task):
 
 @dataclass(frozen=True)
 class InstructionTask(Task):
-    """Follow a BabyAI instruction: go to an object that a description fits.
+    """Follow a BabyAI instruction of up to four clauses: go to, open, pick up, put next to.
 
-    It is done when the agent faces a cell where the description believes such an object to be,
-    whatever the action was. The reward is `GoalTask`'s. Source: `GoToInstr` and `RoomGridLevel` of
-    minigrid 3.2.0.
+    The reward of success is `GoalTask`'s. Failure, which strict clauses know, earns nothing.
+    `beliefs` is how many of the first clauses can be of the kind "go to".
+
+    Source: `RoomGridLevel.step` and `verifier` of minigrid 3.2.0.
     """
 
     width: int
     height: int
+    beliefs: int = instructions.MAX_CLAUSES
     slope: float = REWARD_SLOPE
 
     def step(
         self, task_state: InstructionState, before: GridState, action: jax.Array, after: GridState
     ) -> tuple[InstructionState, Outcome]:
         """Judges one step; see `Task.step`."""
-        ghosts = self._believe(task_state.ghosts, before, action, after)
-        task_state = replace(task_state, steps=task_state.steps + 1, ghosts=ghosts)
-        faced = self._tracked(after, front_index(after, self.height))
-        done = (faced ^ self._pick(ghosts, after)) == 1
+        ghosts = instructions.believe(task_state.ghosts, before, action, after)
+        program, progress = self._read(task_state)
+        progress, done, failed = instructions.verify(
+            program, progress, ghosts, before, action, after
+        )
+        steps = task_state.steps + 1
+        task_state = replace(task_state, steps=steps, ghosts=ghosts)
+        task_state = self._write(task_state, progress)
         # No level has a goal square or lava, but worlds are free to.
         goal, lava = entered(before, action, after, self.height)
-        reward = success_reward(self.slope, task_state.steps, task_state.max_steps)
+        reward = success_reward(self.slope, steps, task_state.max_steps)
         return task_state, Outcome(
-            reward={"success": jnp.where(done | goal, reward, jnp.float32(0))},
+            reward={"success": jnp.where(done | (goal & ~failed), reward, jnp.float32(0))},
             success={"instruction": done},
-            terminated=done | goal | lava,
+            terminated=done | failed | goal | lava,
             metrics={},
         )
+
+    def _read(self, task_state: InstructionState) -> tuple[Program, Progress]:
+        assert task_state.program is not None
+        assert task_state.progress is not None
+        return Program.unpack(task_state.program), Progress.unpack(task_state.progress)
+
+    def _write(self, task_state: InstructionState, progress: Progress) -> InstructionState:
+        return replace(task_state, progress=progress.pack())
+
+
+@dataclass(frozen=True)
+class GoToTask(InstructionTask):
+    """Follow an instruction whose one clause is to go to an object; this task has an expert.
+
+    Its states hold no program and no progress: what is the same in all of them is compiled in.
+    """
+
+    beliefs: int = 1
+
+    def _read(self, task_state: InstructionState) -> tuple[Program, Progress]:
+        return Program.unpack(jnp.uint32(instructions.ONE_GO_TO)), Progress.unpack(jnp.uint8(0))
+
+    def _write(self, task_state: InstructionState, progress: Progress) -> InstructionState:
+        return task_state
 
     def expert(
         self, key: jax.Array, task_state: InstructionState, state: GridState
     ) -> ExpertAction:
-        """Returns the first action of a shortest plan to face the nearest described object."""
+        """Returns the first action of a shortest plan to face an object of the instruction."""
         return experts.goto_expert(key, task_state, state, self.width, self.height)
-
-    def _tracked(self, state: GridState, cell: jax.Array) -> jax.Array:
-        """Returns uint32 0 or 1: whether description 0 tracks what stands in `cell`."""
-        return at_index(state.marks, cell).astype(jnp.uint32) & 1
-
-    def _front_bit(self, state: GridState) -> jax.Array:
-        """Returns uint32[1, height] with one bit set, that of the cell the agent faces."""
-        x, y = state.position + heading(state.direction)
-        rows = jnp.arange(self.height, dtype=jnp.int32) == y
-        return jnp.where(rows, jnp.uint32(1) << x.astype(jnp.uint32), jnp.uint32(0))[None]
-
-    def _pick(self, ghosts: jax.Array, state: GridState) -> jax.Array:
-        """Returns uint32 0 or 1: the bit in `ghosts` of the cell the agent faces."""
-        return jnp.any((ghosts & self._front_bit(state)) != 0).astype(jnp.uint32)
-
-    def _believe(
-        self, ghosts: jax.Array, before: GridState, action: jax.Array, after: GridState
-    ) -> jax.Array:
-        """Returns the ghosts after a step: none after a drop action, else one more perhaps."""
-        cell = front_index(before, self.height)
-        left = self._tracked(before, cell) != self._tracked(after, cell)
-        ghosts = jnp.where(left, ghosts ^ self._front_bit(before), ghosts)
-        return jnp.where(action == DROP, jnp.uint32(0), ghosts)

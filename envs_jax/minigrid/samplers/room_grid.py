@@ -299,18 +299,18 @@ class RoomGrid:
         added = may_open & (opens <= last)
         return self._with_doors(layout, added, looks)._replace(valid=layout.valid & (last < never))
 
+    def door_cells(self, layout: Layout) -> jax.Array:
+        """Returns int32[walls, 2], where the door in each wall is or would be."""
+        axis, column, row = (jnp.asarray(index, jnp.int32) for index in np.indices(self.walls))
+        cells = jax.vmap(self.door_cell, in_axes=(None, 0, 0))(
+            layout, (column.reshape(-1), row.reshape(-1)), axis.reshape(-1)
+        )
+        return cells.reshape(*self.walls, 2)
+
     def _with_doors(self, layout: Layout, added: jax.Array, colors: jax.Array) -> Layout:
         """Puts shut doors, all at once, into the walls `added`, bool[walls]."""
-        axis, column, row = (jnp.asarray(index, jnp.int32) for index in np.indices(self.walls))
-        x, y = jnp.moveaxis(
-            jax.vmap(self.door_cell, in_axes=(None, 0, 0))(
-                layout, (column.reshape(-1), row.reshape(-1)), axis.reshape(-1)
-            ),
-            -1,
-            0,
-        )
-        doors = packed(tiles.CLOSED_DOOR, colors).reshape(-1)
-        doors = jnp.where(added.reshape(-1), doors, layout.plane[x, y])
+        x, y = jnp.moveaxis(self.door_cells(layout), -1, 0)
+        doors = jnp.where(added, packed(tiles.CLOSED_DOOR, colors), layout.plane[x, y])
         return layout._replace(plane=layout.plane.at[x, y].set(doors), joined=layout.joined | added)
 
     def add_distractors(

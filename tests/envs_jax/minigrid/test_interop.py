@@ -79,9 +79,17 @@ def test_what_cannot_be_imported_is_named():
     doors.grid.grid[doors.grid.grid.index(doors.red_door)] = None
     with pytest.raises(JaxactError, match="of RedBlueDoorEnv has lost the red door"):
         interop.from_minigrid(doors)
-    env = python_env("BabyAI-Open-v0")
+    env = python_env("BabyAI-OpenTwoDoors-v0")
     env.reset(seed=0)
-    with pytest.raises(JaxactError, match="BabyAI-Open-v0 ends by rules"):
+    env.instrs.strict = True
+    with pytest.raises(JaxactError, match="BabyAI-OpenTwoDoors-v0 has a strict BeforeInstr"):
+        interop.from_minigrid(env)
+    env = python_env("BabyAI-OneRoomS8-v0")
+    env.reset(seed=0)
+    env.carrying = env.instrs.desc.obj_set[0]
+    env.step(Actions.left)
+    env.carrying = None
+    with pytest.raises(JaxactError, match="was exchanged by hand"):
         interop.from_minigrid(env)
     env = python_env("MiniGrid-Empty-5x5-v0")
     with pytest.raises(JaxactError, match="never reset"):

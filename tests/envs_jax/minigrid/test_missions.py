@@ -32,6 +32,7 @@ def test_missions_survive_the_round_trip(text):
     assert tokens.shape == (MISSION_LENGTH,)
     assert tokens.dtype == np.int32
     assert decode_mission(tokens) == text
+    assert decode_mission(encode_mission(text, 20)) == text
 
 
 def test_the_vocabulary_is_sorted_after_the_padding():

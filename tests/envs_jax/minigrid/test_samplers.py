@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,12 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from minigrid_reference import python_env
+from minigrid_reference import COLORS, python_env
 from scipy.stats import chi2_contingency
 
 import envs_jax
 from envs_jax.minigrid import decode_mission, rules, tiles
-from envs_jax.minigrid.missions import COLOR_WORDS
+from envs_jax.minigrid.instructions import MAX_CLAUSES
 from envs_jax.minigrid.rule_import import ImportedRule, import_rule
 from envs_jax.minigrid.rules import RuleTask
 from envs_jax.minigrid.samplers import placement
@@ -73,6 +74,38 @@ SAMPLE = [
     "BabyAI-GoToRedBall-v0",
     "BabyAI-GoToRedBallGrey-v0",
     "BabyAI-GoToRedBlueBall-v0",
+    "BabyAI-GoToImpUnlock-v0",
+    "BabyAI-GoToObjDoor-v0",
+    "BabyAI-GoToObjMazeS4R2-v0",
+    "BabyAI-GoToOpen-v0",
+    "BabyAI-GoToSeqS5R2-v0",
+    "BabyAI-Open-v0",
+    "BabyAI-OpenDoor-v0",
+    "BabyAI-OpenDoorsOrderN4-v0",
+    "BabyAI-OpenRedBlueDoors-v0",
+    "BabyAI-OpenRedDoor-v0",
+    "BabyAI-PickupDist-v0",
+    "BabyAI-PickupLoc-v0",
+    "BabyAI-PickupAbove-v0",
+    "BabyAI-UnblockPickup-v0",
+    "BabyAI-PutNextLocalS5N3-v0",
+    "BabyAI-PutNextS5N2Carrying-v0",
+    "BabyAI-MoveTwoAcrossS8N9-v0",
+    "BabyAI-Unlock-v0",
+    "BabyAI-UnlockLocalDist-v0",
+    "BabyAI-KeyInBox-v0",
+    "BabyAI-UnlockPickupDist-v0",
+    "BabyAI-BlockedUnlockPickup-v0",
+    "BabyAI-UnlockToUnlock-v0",
+    "BabyAI-ActionObjDoor-v0",
+    "BabyAI-FindObjS5-v0",
+    "BabyAI-KeyCorridorS3R3-v0",
+    "BabyAI-OneRoomS12-v0",
+    "BabyAI-SynthS5R2-v0",
+    "BabyAI-SynthSeq-v0",
+    "BabyAI-MiniBossLevel-v0",
+    "BabyAI-BossLevel-v0",
+    "BabyAI-BossLevelNoUnlock-v0",
 ]
 QUICK_SAMPLE = [
     "MiniGrid-DoorKey-5x5-v0",
@@ -85,7 +118,19 @@ QUICK_SAMPLE = [
     "MiniGrid-ObstructedMaze-2Dlhb-v0",
     "MiniGrid-Dynamic-Obstacles-Random-5x5-v0",
     "BabyAI-GoToRedBlueBall-v0",
+    "BabyAI-UnlockPickupDist-v0",
+    "BabyAI-MiniBossLevel-v0",
 ]
+# Levels in which objects are in reach of the agent without opening or moving anything.
+ONE_ROOM = [
+    name
+    for name in IDS
+    if re.match(r"BabyAI-(GoToObj|GoToLocal|GoToRed|PutNextLocal|PickupLoc)", name)
+    and not re.search("Maze|Door", name)
+]
+# Levels that `assert_solvable` knows how to solve.
+SOLVABLE = [name for name in IDS if name.startswith("MiniGrid")] + ONE_ROOM
+KINDS = ("key", "ball", "box", "door", "object")
 EMPTY, WALL, DOOR, KEY, BALL, BOX, GOAL, LAVA = 1, 2, 4, 5, 6, 7, 8, 9
 
 
@@ -97,6 +142,7 @@ class Level:
     position: tuple[int, int]
     direction: int
     mission: str
+    horizon: int
     # What a rule is about: its target, its cells, and the cell of the object to be picked up.
     about: tuple[int, list[tuple[int, int]], list[tuple[int, int]]]
     # Colours of the keys that are hidden in boxes.
@@ -112,13 +158,16 @@ def package_levels(name: str, count: int) -> list[Level]:
     for seed in range(count):
         env.reset(seed=seed)
         position = (int(env.agent_pos[0]), int(env.agent_pos[1]))
+        if env.carrying is not None:  # It was taken up after the first observation.
+            env.grid.set(*env.carrying.init_pos, env.carrying)
         rule = import_rule(env) or ImportedRule(rules.PLAY)
         tracked = [] if rule.tracked is None else [_cell(rule.tracked.cur_pos)]
         about = rule.target, list(rule.cells), tracked
         boxes = [thing for thing in env.grid.grid if thing is not None and thing.type == "box"]
-        hidden = [COLOR_WORDS.index(box.contains.color) for box in boxes if box.contains]
-        image, direction = env.grid.encode(), int(env.agent_dir)
-        levels.append(Level(image, position, direction, env.mission, about, hidden))
+        hidden = [COLORS.index(box.contains.color) for box in boxes if box.contains]
+        pose = position, int(env.agent_dir)
+        horizon = env.max_steps
+        levels.append(Level(env.grid.encode(), *pose, env.mission, horizon, about, hidden))
     return levels
 
 
@@ -148,11 +197,11 @@ def our_levels(name: str, count: int) -> list[Level]:
             cells = [_cell(cell) for cell in states.task.cells[lane] if cell.any()]
             tracked = [_cell(cell) for cell in np.argwhere(marks[lane] & TRACKED_MASK)]
             about = int(states.task.target[lane]), cells, tracked
-        position, direction = _cell(world.position[lane]), int(world.direction[lane])
-        mission = decode_mission(missions[lane])
+        pose = _cell(world.position[lane]), int(world.direction[lane])
+        mission, horizon = decode_mission(missions[lane]), int(states.horizon[lane])
         contents = marks[lane].T.reshape(-1) >> CONTENTS_SHIFT
         hidden = [int(content) - 1 for content in contents if content]
-        levels.append(Level(images[lane], position, direction, mission, about, hidden))
+        levels.append(Level(images[lane], *pose, mission, horizon, about, hidden))
     return levels
 
 
@@ -161,12 +210,22 @@ def features(level: Level) -> Iterator[tuple[str, object]]:
     yield "agent", level.position
     yield "direction", level.direction
     yield "mission", level.mission
+    words = level.mission.split()
+    yield "horizon", level.horizon
+    yield "colours named", sum(word in COLORS for word in words)
+    yield (
+        "shape of the mission",
+        " ".join("…" if word in COLORS + KINDS else word for word in words),
+    )
     for name, kind in (("door", DOOR), ("key", KEY), ("ball", BALL), ("box", BOX), ("goal", GOAL)):
         cells = level.cells(kind)
         yield f"number of {name}", len(cells)
         for x, y in cells:
             yield f"{name} cell", (x, y)
             yield f"{name} looks", tuple(level.image[x, y, 1:])
+    for state in range(3):
+        shown = level.image[..., 2] == state
+        yield f"doors in state {state}", int(((level.image[..., 0] == DOOR) & shown).sum())
     wall = np.isin(level.image[..., 0], (WALL, LAVA))
     for axis, length in enumerate(wall.shape):
         for line in {2, 4, length // 2}:
@@ -245,13 +304,13 @@ def touched(cells: set[tuple[int, int]], x: int, y: int) -> bool:
     return bool({(x + 1, y), (x - 1, y), (x, y + 1), (x, y - 1)} & cells)
 
 
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", SOLVABLE)
 @pytest.mark.slow
 def test_every_level_of_every_world_can_be_solved(name):
     assert_solvable(name, 2000)
 
 
-@pytest.mark.parametrize("name", QUICK_SAMPLE)
+@pytest.mark.parametrize("name", [name for name in QUICK_SAMPLE if name in SOLVABLE])
 def test_every_level_can_be_solved(name):
     assert_solvable(name, 2000)
 
@@ -276,12 +335,11 @@ def assert_solvable(name: str, count: int) -> None:
             assert tuple(level.image[door][1:]) == (tiles.YELLOW, 2)
 
 
-@pytest.mark.parametrize("name", QUICK_SAMPLE[-1:])
-def test_the_target_is_what_the_mission_says(name):
-    assert_targets(name)
+def test_the_target_is_what_the_mission_says():
+    assert_targets("BabyAI-GoToRedBlueBall-v0")
 
 
-@pytest.mark.parametrize("name", [name for name in IDS if name.startswith("BabyAI")])
+@pytest.mark.parametrize("name", [name for name in ONE_ROOM if name.startswith("BabyAI-GoTo")])
 @pytest.mark.slow
 def test_all_targets_are_what_the_missions_say(name):
     assert_targets(name)
@@ -298,10 +356,43 @@ def assert_targets(name: str) -> None:
         (code,) = set(codes[marks == 1].tolist())
         *_, article, color, kind = decode_mission(mission).split()
         kind_code = {"key": KEY, "ball": BALL, "box": BOX}[kind]
-        named = ("red", "green", "blue", "purple", "yellow", "grey").index(color)
+        named = COLORS.index(color)
         assert code == tiles.tile(kind_code, named)
         assert (marks == 1).sum() == (codes == code).sum()
         assert article == ("a" if (marks == 1).sum() > 1 else "the")
+
+
+# How many levels are rejected for one that is accepted is most of what a sampler's checks do.
+@pytest.mark.parametrize("name", ["BabyAI-GoToSeqS5R2-v0", "BabyAI-PutNextLocalS5N3-v0"])
+def test_levels_are_rejected_as_often_as_in_the_package(name, capsys):
+    sampler = envs_jax.make(name).sampler
+    keys = jax.random.split(jax.random.key(1), 2000)
+    _, valid = jax.jit(jax.vmap(sampler.draw))(keys)
+    capsys.readouterr()
+    accepted = 500
+    package_levels(name, accepted)
+    rejected = len(re.findall("Sampling rejected|Timeout", capsys.readouterr().out))
+    table = [[int(valid.sum()), int((~valid).sum())], [accepted, rejected]]
+    assert chi2_contingency(table).pvalue > 1e-5
+
+
+def test_what_the_agent_begins_with_in_its_hands_shows_only_after_the_first_step():
+    name = "BabyAI-PutNextS5N2Carrying-v0"
+    pomdp = envs_jax.make(name)
+    keys = jax.random.split(jax.random.key(0), 100)
+    state, first = jax.jit(jax.vmap(pomdp.reset))(keys)
+    after, step = jax.jit(jax.vmap(pomdp.step, in_axes=(0, 0, None)))(keys, state, jnp.int32(6))
+    assert (state.environment.carrying == 0).all()
+    assert (first["image"][:, 3, 6, 0] == EMPTY).all()
+    held = after.environment.carrying
+    np.testing.assert_array_equal(step.observation["image"][:, 3, 6, 0], held & tiles.TYPE_MASK)
+    put = after.environment.carrying_mark >> MAX_CLAUSES & 1
+    assert (put == 1).all()
+    objects = [
+        (np.asarray(one.tiles) & 15 >= KEY).sum() for one in (state.environment, after.environment)
+    ]
+    assert objects == [400, 300]
+    assert not step.terminated.any()
 
 
 def test_choose_cell_is_uniform_over_the_free_cells_and_says_when_there_are_none():

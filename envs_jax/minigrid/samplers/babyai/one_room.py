@@ -63,6 +63,8 @@ class GoToSampler(TaskSampler):
             steps=jnp.int32(0),
             max_steps=horizon,
             mission=missions.go_to(kind, color, several),
+            program=None,
+            progress=None,
             ghosts=jnp.zeros((1, self.size), jnp.uint32),
         )
         return Episode(state, task, horizon)

@@ -1,0 +1,1 @@
+"""The distributions of BabyAI's levels, one module a family."""

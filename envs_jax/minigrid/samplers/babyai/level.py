@@ -1,0 +1,200 @@
+"""What BabyAI's levels share: rooms are furnished, an instruction is made up, an episode begins."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass, replace
+from math import prod
+
+import jax
+import jax.numpy as jnp
+
+from envs_jax.minigrid import tiles
+from envs_jax.minigrid.instructions import ALONE, NOTHING, PUT_NEXT
+from envs_jax.minigrid.samplers import placement
+from envs_jax.minigrid.samplers.room_grid import Int, Layout, RoomGrid
+from envs_jax.minigrid.sentences import (
+    ANY_COLOR,
+    ANY_KIND,
+    ANYWHERE,
+    Description,
+    Sentence,
+    color_of,
+    kind_of,
+)
+from envs_jax.minigrid.tasks import InstructionState
+from jaxact.pomdp import Episode, PyTree, TaskSampler
+
+Shape = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class LevelSampler(TaskSampler):
+    """A distribution of BabyAI levels on a grid of rooms.
+
+    Whole levels are drawn until one is valid, as MiniGrid's rejection sampling does.
+
+    Attributes:
+      grid: the rooms.
+      max_steps: the time of an episode; with None it depends on the instruction: as many steps as
+        the grid's rooms have cells for each errand.
+
+    Source: `RoomGridLevel` of minigrid 3.2.0.
+    """
+
+    grid: RoomGrid
+    max_steps: int | None = None
+
+    @property
+    def beliefs(self) -> int:
+        """How many of the first clauses can be of the kind "go to"."""
+        return 0
+
+    @property
+    def is_go_to(self) -> bool:
+        """Whether all there ever is to do is to go to one object, a `GoToTask`."""
+        return False
+
+    @property
+    @abstractmethod
+    def mission_length(self) -> int:
+        """Words of the longest mission, commas included."""
+
+    @property
+    @abstractmethod
+    def draw_shapes(self) -> tuple[Shape, ...]:
+        """The shapes of the uniform draws that `furnish` takes."""
+
+    @abstractmethod
+    def furnish(self, layout: Layout, *draws: jax.Array) -> tuple[Layout, Sentence]:
+        """Returns a level made of bare rooms, perhaps not a valid one, and its instruction.
+
+        Args:
+          layout: rooms without doors.
+          *draws: uniform float32 in [0, 1) of `draw_shapes`, the only randomness.
+        """
+
+    def sample(self, key: jax.Array, sampler_state: PyTree) -> Episode:
+        """Draws one episode."""
+        del sampler_state
+        layout, sentence = placement.until_valid(key, self.draw)
+        return self.begin(layout, sentence)
+
+    def draw(self, key: jax.Array) -> tuple[tuple[Layout, Sentence], jax.Array]:
+        """Draws one level; returns it and whether it is valid."""
+        # All in one call: random bits are the dearest part of a level.
+        shapes = (self.grid.walls, *self.draw_shapes)
+        sizes = [prod(shape) for shape in shapes]
+        numbers = jax.random.uniform(key, (sum(sizes),), jnp.float32)
+        ends = [sum(sizes[: n + 1]) for n in range(len(sizes))]
+        walls, *draws = (
+            numbers[end - size : end].reshape(shape)
+            for end, size, shape in zip(ends, sizes, shapes, strict=True)
+        )
+        layout, sentence = self.furnish(self.grid.closed(walls), *draws)
+        return (layout, sentence), layout.valid
+
+    def begin(self, layout: Layout, sentence: Sentence) -> Episode:
+        """Returns the episode of a valid level."""
+        things, places = matches(self.grid, layout, sentence)
+        several_things, several_places = (
+            jnp.sum(cells, axis=(1, 2), dtype=jnp.int32) > 1 for cells in (things, places)
+        )
+        layout = layout._replace(marks=layout.marks | sentence.marks(things, places))
+        if self.max_steps is None:
+            area = self.grid.room_size**2 * self.grid.columns * self.grid.rows
+            horizon = area * sentence.errands()
+        else:
+            horizon = jnp.int32(self.max_steps)
+        task = InstructionState(
+            steps=jnp.int32(0),
+            max_steps=horizon,
+            mission=sentence.mission(several_things, several_places, self.mission_length),
+            program=sentence.program().pack(),
+            progress=jnp.uint8(0),
+            ghosts=jnp.zeros((self.beliefs, self.grid.height), jnp.uint32),
+        )
+        if self.is_go_to:
+            task = replace(task, program=None, progress=None)
+        return Episode(layout.state(), task, horizon)
+
+
+def matches(grid: RoomGrid, layout: Layout, sentence: Sentence) -> tuple[jax.Array, jax.Array]:
+    """Returns bool[n, width, height] twice: where the things and the places of n clauses are."""
+
+    def find(what: Description) -> jax.Array:
+        return what.matches(layout.plane, layout.agent, layout.direction, grid.room_size)
+
+    return jax.vmap(find)(sentence.things), jax.vmap(find)(sentence.places)
+
+
+def describe(kind: Int = ANY_KIND, color: Int = ANY_COLOR, location: Int = ANYWHERE) -> Description:
+    """Returns a description; each part may be static or computed."""
+    return Description(*(jnp.asarray(part, jnp.int32) for part in (kind, color, location)))
+
+
+def like(code: jax.Array) -> Description:
+    """Returns the description of objects, by type and colour, that look like a packed tile."""
+    return describe(kind_of(code), color_of(code))
+
+
+def clause(
+    verb: Int,
+    what: Description,
+    place: Description | None = None,
+    joint: Int = ALONE,
+    strict: bool = False,
+) -> Sentence:
+    """Returns a sentence of one clause, to stand alone or to be joined to others.
+
+    Args:
+      verb: what to do; see `instructions`.
+      what: with what: what to go to, to open, to pick up or to put somewhere.
+      place: what to put it next to.
+      joint: how the clause is joined to the one before.
+      strict: whether a wrong object makes it fail.
+    """
+    things = Description(*(part[None] for part in what))
+    places = things if place is None else Description(*(part[None] for part in place))
+    verb, joint = jnp.asarray(verb, jnp.int32), jnp.asarray(joint, jnp.int32)
+    return Sentence(verb[None], things, places, joint[None], jnp.full(1, strict))
+
+
+def join(*clauses: Sentence) -> Sentence:
+    """Returns the clauses as one sentence."""
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *clauses)
+
+
+def leave_out(said: jax.Array, one: Sentence) -> Sentence:
+    """Returns clause `one` if it is to be `said`, or else a gap."""
+    return one._replace(
+        verbs=jnp.where(said, one.verbs, NOTHING), joints=jnp.where(said, one.joints, ALONE)
+    )
+
+
+def put_next_is_possible(things: jax.Array, places: jax.Array, sentence: Sentence) -> jax.Array:
+    """Returns a bool: in no clause that puts, a thing is a place or stands beside one already.
+
+    Source: `RoomGridLevel.validate_instrs` of minigrid 3.2.0.
+    """
+    near = things
+    for axis in (1, 2):
+        for shift in (1, -1):  # Nothing wraps round: the grid's edge is wall, neither is it.
+            near |= jnp.roll(things, shift, axis)
+    clash = jnp.any(near & places, axis=(1, 2))
+    return ~jnp.any(clash & (sentence.verbs == PUT_NEXT))
+
+
+def choose(draw: jax.Array, count: int) -> jax.Array:
+    """Returns a uniform int32 below `count`."""
+    return placement.uniform_int(draw, 0, count)
+
+
+def random_color(draw: jax.Array) -> jax.Array:
+    """Returns a uniform colour, int32."""
+    return choose(draw, tiles.NUM_COLORS)
+
+
+def ranks(draws: jax.Array) -> jax.Array:
+    """Returns a uniform permutation of 0 … n − 1, int32, from float32[n] draws."""
+    return jnp.argsort(draws).astype(jnp.int32)
