@@ -270,13 +270,13 @@ class RoomGrid:
         allowed = jnp.ones(tiles.NUM_COLORS, bool) if colors is None else colors
         looks, order = placement.split_draw(draws, jnp.sum(allowed, dtype=jnp.int32))
         ranks = jnp.cumsum(allowed, dtype=jnp.int32)
-        looks = jnp.sum(ranks <= looks[..., None], axis=-1, dtype=jnp.int32)
+        looks = jnp.sum(ranks[None, None, None] <= looks[..., None], axis=-1, dtype=jnp.int32)
 
         # Doors come in the order of their draws; those that never come have 2, what is open −1.
         never = jnp.float32(2)
         right, down = layout.locked[1:, :], layout.locked[:, 1:]
         beyond = jnp.stack([jnp.pad(right, ((0, 1), (0, 0))), jnp.pad(down, ((0, 0), (0, 1)))])
-        may_open = jnp.asarray(self._inner) & ~layout.joined & ~layout.locked & ~beyond
+        may_open = jnp.asarray(self._inner) & ~layout.joined & ~layout.locked[None] & ~beyond
         opens = jnp.where(layout.joined, -1, jnp.where(may_open, order, never))
         opens_right, opens_down = opens[0, :-1, :], opens[1, :, :-1]
 
@@ -299,18 +299,18 @@ class RoomGrid:
         added = may_open & (opens <= last)
         return self._with_doors(layout, added, looks)._replace(valid=layout.valid & (last < never))
 
+    def door_cells(self, layout: Layout) -> jax.Array:
+        """Returns int32[walls, 2], where the door in each wall is or would be."""
+        axis, column, row = (jnp.asarray(index, jnp.int32) for index in np.indices(self.walls))
+        cells = jax.vmap(self.door_cell, in_axes=(None, 0, 0))(
+            layout, (column.reshape(-1), row.reshape(-1)), axis.reshape(-1)
+        )
+        return cells.reshape(*self.walls, 2)
+
     def _with_doors(self, layout: Layout, added: jax.Array, colors: jax.Array) -> Layout:
         """Puts shut doors, all at once, into the walls `added`, bool[walls]."""
-        axis, column, row = (jnp.asarray(index, jnp.int32) for index in np.indices(self.walls))
-        x, y = jnp.moveaxis(
-            jax.vmap(self.door_cell, in_axes=(None, 0, 0))(
-                layout, (column.reshape(-1), row.reshape(-1)), axis.reshape(-1)
-            ),
-            -1,
-            0,
-        )
-        doors = packed(tiles.CLOSED_DOOR, colors).reshape(-1)
-        doors = jnp.where(added.reshape(-1), doors, layout.plane[x, y])
+        x, y = jnp.moveaxis(self.door_cells(layout), -1, 0)
+        doors = jnp.where(added, packed(tiles.CLOSED_DOOR, colors), layout.plane[x, y])
         return layout._replace(plane=layout.plane.at[x, y].set(doors), joined=layout.joined | added)
 
     def add_distractors(
