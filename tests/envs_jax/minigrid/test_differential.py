@@ -56,7 +56,8 @@ def test_all_worlds_agree_over_many_steps():
             kept |= {rule} if (reward > 0).any() else set()
             broken |= {rule} if (terminated & (reward == 0)).any() else set()
     assert compared >= 10_000 * len(IDS)
-    assert kept == broken == set(range(8))
+    assert kept == set(range(8))
+    assert broken >= {rules.FETCH, rules.GO_NEXT_TO, rules.PUT_NEAR, rules.MATCH}
 
 
 @pytest.mark.parametrize("view_size", [3, 5])
