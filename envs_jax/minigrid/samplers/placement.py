@@ -65,6 +65,18 @@ def choose_cell(draw: jax.Array, free: jax.Array) -> tuple[jax.Array, jax.Array]
     return jnp.stack([x, y]), columns[-1] > 0
 
 
+def choose_ranked(rank: jax.Array, counts: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Returns in which of some short ranges a rank falls, int32, and its rank in there.
+
+    Args:
+      rank: int32 scalar, below the sum of `counts`.
+      counts: int32[n], the ranges' sizes.
+    """
+    ends = _running_sums(counts)
+    chosen = jnp.sum(ends <= rank, dtype=jnp.int32)
+    return chosen, rank - jnp.where(chosen > 0, ends[chosen - 1], 0)
+
+
 def _running_sums(counts: jax.Array) -> jax.Array:
     """Returns the running sums of a short int32[n]; n² additions beat n dependent ones here."""
     places = jnp.arange(counts.shape[0], dtype=jnp.int32)
