@@ -1,5 +1,7 @@
 """Task samplers that combine and steer others."""
 
+from jaxact.samplers.fixed_seeds import FixedSeeds as FixedSeeds
+from jaxact.samplers.ladder import LadderSampler as LadderSampler
 from jaxact.samplers.mixture import MixtureSampler as MixtureSampler
 
-__all__ = ["MixtureSampler"]
+__all__ = ["FixedSeeds", "LadderSampler", "MixtureSampler"]
