@@ -108,8 +108,9 @@ def draw_part(
 
         axes = jax.tree.map(lambda many: 0 if many else None, batched)
         which = jnp.broadcast_to(part, (size,))
-        shape = jax.eval_shape(jax.vmap(draw.fun, axes, axis_size=size), *given)
-        episodes = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shape)
+        _, first_key, first_states = of_rows(jnp.int32(0))
+        shape = jax.eval_shape(parts[0].sample, first_key, first_states[0])
+        episodes = jax.tree.map(lambda x: jnp.zeros((size, *x.shape), x.dtype), shape)
         for index, sampler in enumerate(parts):
 
             def sample(

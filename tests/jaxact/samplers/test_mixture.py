@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.custom_batching import custom_vmap
 
 from jaxact import JaxactError, evaluate_expert
 from jaxact.overrides import with_numbers
@@ -69,6 +70,34 @@ def test_a_batch_is_what_its_episodes_are_alone():
     np.testing.assert_array_equal(together.horizon, np.stack(horizons))
     cells = np.array([4, 1, 2])[np.asarray(together.origin.part)]
     np.testing.assert_array_equal(together.environment, cells)
+
+
+class Compacted(From):
+    """Has a batching rule of its own, round a constant, as samplers that draw until valid have."""
+
+    def sample(self, key, sampler_state):
+        cells = jnp.arange(6, dtype=jnp.int32)
+
+        @custom_vmap
+        def start(key):
+            del key
+            return cells[self.cell]
+
+        @start.def_vmap
+        def starts(size, batched, key):
+            del key
+            return jnp.broadcast_to(cells[self.cell], (size,)), batched[0]
+
+        episode = super().sample(key, sampler_state)
+        return dataclasses.replace(episode, environment=start(key))
+
+
+def test_parts_may_have_batching_rules_of_their_own():
+    keys = jax.random.split(make_key(0), 40)
+    plain = MixtureSampler({"a": From(1), "b": From(2)})
+    ruled = MixtureSampler({"a": Compacted(1), "b": Compacted(2)})
+    one, other = drawn(plain, keys), drawn(ruled, keys)
+    jax.tree.map(np.testing.assert_array_equal, one, other)
 
 
 def test_vmap_over_runs_changes_nothing():
