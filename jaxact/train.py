@@ -356,14 +356,12 @@ def _summarise(rows: dict[str, np.ndarray]) -> dict[str, float]:
     """Means over the updates of a chunk; of episodes, over all that finished in it."""
     means = {}
     for name, values in rows.items():
+        tag = f"train/{name.removeprefix('episodes/')}"
         if _is_count(name):
-            means["train" + name.removeprefix("episodes")[: -len("count")] + "episodes"] = float(
-                values.sum()
-            )
+            means[f"{tag.removesuffix('count')}episodes"] = float(values.sum())
         elif name.startswith("episodes/"):
             count = float(rows[_count_of(name)].sum())
-            mean = float(values.sum()) / count if count else math.nan
-            means[f"train/{name.removeprefix('episodes/')}"] = mean
+            means[tag] = float(values.sum()) / count if count else math.nan
         elif name.startswith(("losses/", "train/")):
             means[name] = float(np.mean(values))
     return means

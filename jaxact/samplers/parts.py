@@ -14,7 +14,7 @@ from jaxact.compaction import for_each_chosen
 from jaxact.errors import JaxactError
 from jaxact.pomdp import Episode, FinishedEpisodes, PyTree, TaskSampler
 
-# Each part is drawn from in turns of so many of the batch: 1 / (TURNS · number of parts).
+# With P parts, a turn of drawing is for 1 / (_TURNS · P) of the batch.
 _TURNS = 4
 
 
@@ -80,8 +80,9 @@ def draw_part(
 
     Under `vmap` a `switch` samples from every part for every episode and throws all but one away.
     Here the batch is taken apart: each part samples only for the episodes that are its own, in
-    turns of a share of the batch. With P parts a batch costs at most 1.25 times what its episodes
-    cost, in about 5 P turns one after another; batches below 32 P episodes round up to turns of 8.
+    turns of a share of the batch. With P parts and a batch of 32 P or more, at most 1.25 times
+    as many episodes are drawn as are needed, in at most 5 P turns one after another. Turns are of
+    at least 8 episodes.
 
     Args:
       parts: the samplers.
