@@ -83,7 +83,7 @@ class Trajectory:
       memory: the policy's memory after the step.
       expert: the expert's advice, None unless asked for.
       forced: bool, true where the expert's action was taken in place of the policy's.
-      finished: how episodes ended, with `finished.task` None unless asked for.
+      finished: how episodes ended, with `task` None unless asked for, and no `mean_error` yet.
       episode_terms: named components of the return of the episodes that ended.
     """
 
@@ -297,6 +297,8 @@ def rollout(
                 episode_return=episode_return,
                 length=state.steps,
                 task=state.task if keep_tasks else None,
+                origin=state.origin,
+                mean_error=None,
             ),
             episode_terms=episode_terms,
         )

@@ -43,7 +43,7 @@ class TrainState:
 
 
 def make_key(seed: int | jax.Array) -> jax.Array:
-    """Returns the PRNG key of a run."""
+    """Returns the PRNG key of a run, or of a level."""
     return jax.random.key(seed, impl=PRNG_IMPLEMENTATION)
 
 
