@@ -32,6 +32,7 @@ from envs_jax.minigrid.samplers.obstructed_maze import ObstructedMazeSampler
 from envs_jax.minigrid.samplers.playground import PlaygroundSampler
 from envs_jax.minigrid.samplers.red_blue_doors import RedBlueDoorsSampler
 from envs_jax.minigrid.samplers.unlock import UnlockSampler
+from envs_jax.minigrid.samplers.wfc import LOOKS, SIZE, WFCSampler
 from envs_jax.minigrid.sensors import VIEW_SIZE, DirectionSensor, MissionSensor
 from envs_jax.minigrid.tasks import GoalTask, GoToTask, InstructionTask
 from envs_jax.minigrid.views import TILE_SIZE, image_sensor
@@ -190,6 +191,8 @@ def _goal_worlds() -> dict[str, _World]:
     for name, (rooms, largest) in _MULTI_ROOMS.items():
         worlds[f"MultiRoom-{name}"] = _World(MultiRoomSampler(rooms, largest, 20 * rooms), 25, 25)
     worlds["LockedRoom-v0"] = _World(LockedRoomSampler(190), 19, 19)
+    for look in LOOKS:
+        worlds[f"WFC-{look}-v0"] = _World(WFCSampler(look, 20 * SIZE), SIZE, SIZE)
     return worlds
 
 
