@@ -16,12 +16,19 @@ import minigrid  # noqa: F401 (it registers its ids)
 import numpy as np
 from minigrid.core.world_object import Ball, Box, Door, Floor, Goal, Key, Lava, Wall
 
+import envs_jax
 from envs_jax import minigrid as jax_minigrid
 from envs_jax.minigrid import interop, tiles
 from envs_jax.minigrid.obstacles import ObstacleWorld
 from envs_jax.minigrid.state import GridState
 from jaxact.pomdp import POMDP, State
 
+# Worlds that the package can make: the pictures that its WFC worlds are made from are not in it.
+PACKAGE_IDS = [
+    name
+    for name in envs_jax.ids()
+    if name.startswith(("MiniGrid-", "BabyAI-")) and "-WFC-" not in name
+]
 COLORS = ("red", "green", "blue", "purple", "yellow", "grey")
 STEPS = 48
 
