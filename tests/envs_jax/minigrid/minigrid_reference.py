@@ -166,6 +166,8 @@ def move_something(env: Any, rng: np.random.Generator) -> None:
         index = empty[rng.integers(len(empty))]
         env.grid.grid[index] = thing
         thing.cur_pos = (index % env.width, index // env.width)
+        if env.carrying is not None:  # What is held since the beginning still has its position.
+            env.carrying.cur_pos = (-1, -1)
 
 
 def face_something(env: Any, rng: np.random.Generator) -> None:
