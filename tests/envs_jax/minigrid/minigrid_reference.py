@@ -194,6 +194,7 @@ def take_something(env: Any, rng: np.random.Generator) -> None:
     if places:
         index = places[rng.integers(len(places))]
         env.carrying, env.grid.grid[index] = env.grid.grid[index], None
+        env.carrying.cur_pos = (-1, -1)  # As picking it up does.
 
 
 def random_portable(rng: np.random.Generator) -> Any:
