@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from inspect import Parameter, signature
 from typing import Any
 
 from jaxact.errors import unknown
@@ -27,13 +28,19 @@ def make(name: str, **options: Any) -> POMDP:
 
     Args:
       name: an id of `ids()`; Farama's own ids for grid worlds.
-      **options: what the world's builder takes, for example `view_size` for grid worlds.
+      **options: what the world's builder takes. For grid worlds: `observation`, one of "image",
+        "packed", "full", "rgb" and "rgb_full"; `view_size`; `tile_size`.
 
     Raises:
-      JaxactError: no such id; the message names the nearest.
+      JaxactError: no such id or option; the message names the nearest.
     """
     if name not in _BUILDERS:
         raise unknown("environment id", name, _BUILDERS)
+    taken = signature(_BUILDERS[name]).parameters
+    if not any(parameter.kind == Parameter.VAR_KEYWORD for parameter in taken.values()):
+        for option in options:
+            if option not in taken:
+                raise unknown(f"option of {name}", option, taken)
     return _BUILDERS[name](**options)
 
 

@@ -16,11 +16,11 @@ experiment = Experiment(
     pomdp=pomdp,
     model=ActorCritic(pomdp.action_space, InstructedGrid(), GRU(128)),
     pipeline=TrainingPipeline(
-        stages=(Stage(losses={"a2c": A2C()}, steps=4_000_000),),
+        stages=(Stage(losses={"a2c": A2C(normalize_advantage=True)}, steps=3_000_000),),
         lanes=512,
         rollout_length=16,
         epochs=1,
-        minibatches=1,
+        minibatches=4,
         learning_rate=Linear(1e-3, 1e-4, steps=4e6),
     ),
 )

@@ -21,7 +21,7 @@ _LAZY = {
     "override": "overrides",
     "train": "train",
 }
-_SUBMODULES = ("losses", "models", "schedules", "spaces", "testing")
+_SUBMODULES = ("losses", "models", "samplers", "schedules", "spaces", "testing")
 
 __all__ = ["POMDP", "JaxactError", *_LAZY, *_SUBMODULES]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
@@ -32,31 +32,41 @@ class Evaluation:
       episode_return: float32, sum of rewards.
       length: int32, steps.
       metrics: named float32 task metrics at the episode's end, and components of the return.
+      kinds: bool by name, of which of the sampler's kinds the episode was.
     """
 
     success: np.ndarray
     episode_return: np.ndarray
     length: np.ndarray
     metrics: dict[str, np.ndarray]
+    kinds: dict[str, np.ndarray] = field(default_factory=dict)
 
     def summary(self) -> dict[str, Any]:
         """Returns means with 95 % confidence intervals, as plain numbers.
 
-        The success rate's interval is Wilson's, the others' Student's.
+        The success rate's interval is Wilson's, the others' Student's. Kinds of which there was
+        no episode are left out.
         """
         values = {"return": self.episode_return, "length": self.length, **self.metrics}
-        successes, episodes = int(self.success.sum()), len(self.success)
         return {
-            "episodes": episodes,
-            "success": {
-                "mean": successes / episodes,
-                "interval": list(confidence_interval(successes, episodes)),
-            },
+            "episodes": len(self.success),
+            "success": _success_rate(self.success),
             **{
                 name: {"mean": float(np.mean(x)), "interval": list(mean_interval(x))}
                 for name, x in values.items()
             },
+            **{
+                f"kinds/{name}/success": _success_rate(self.success[mask])
+                for name, mask in self.kinds.items()
+                if mask.any()
+            },
         }
+
+
+def _success_rate(success: np.ndarray) -> dict[str, Any]:
+    successes, episodes = int(success.sum()), len(success)
+    interval = list(confidence_interval(successes, episodes))
+    return {"mean": successes / episodes, "interval": interval}
 
 
 def evaluate_policy(
@@ -102,6 +112,7 @@ class _Play:
     episode_return: jax.Array
     length: jax.Array
     metrics: dict[str, jax.Array]
+    kinds: dict[str, jax.Array]
 
 
 Actor = Callable[[PyTree, jax.Array, _Play], tuple[PyTree, PyTree]]
@@ -139,6 +150,7 @@ def _expert_player(pomdp: POMDP) -> Player:
 
 def _player(pomdp: POMDP, act: Actor, initial: Callable[[int], PyTree]) -> Player:
     """Compiles (parameters, reset keys [B], step keys [B]) -> finished episodes."""
+    pomdp = replace(pomdp, sampler=pomdp.sampler.held_out)
 
     def play_episodes(params: PyTree, reset_keys: jax.Array, step_keys: jax.Array) -> _Play:
         lanes = reset_keys.shape[0]
@@ -156,6 +168,7 @@ def _player(pomdp: POMDP, act: Actor, initial: Callable[[int], PyTree]) -> Playe
             episode_return=zeros,
             length=jnp.zeros(lanes, jnp.int32),
             metrics={name: zeros for name in names},
+            kinds=dict(pomdp.sampler.kinds(state.origin)),
         )
 
         def advance(play: _Play) -> _Play:
@@ -175,6 +188,7 @@ def _player(pomdp: POMDP, act: Actor, initial: Callable[[int], PyTree]) -> Playe
                 episode_return=play.episode_return + step.reward,
                 length=state.steps,
                 metrics=metrics,
+                kinds=play.kinds,
             )
             return select(play.done, play, after)
 
@@ -194,7 +208,7 @@ def _evaluate(player: Player, params: PyTree, episodes: int, seed: int) -> Evalu
         chosen = np.arange(turn * lanes, (turn + 1) * lanes) % episodes
         parts.append(player(params, reset_keys[chosen], step_keys[chosen]))
 
-    results = [(p.success, p.episode_return, p.length, p.metrics) for p in parts]
+    results = [(p.success, p.episode_return, p.length, p.metrics, p.kinds) for p in parts]
     joined = jax.tree.map(
         lambda *xs: np.concatenate([np.asarray(x) for x in xs])[:episodes], *results
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
 import jax
@@ -31,11 +31,14 @@ class Episode:
       environment: the environment's first state.
       task: the task's first state.
       horizon: int32 scalar, steps after which the episode is truncated.
+      origin: what the sampler wants to be told when the episode has ended, for example which part
+        of a mixture drew it; None if nothing.
     """
 
     environment: PyTree
     task: PyTree
     horizon: jax.Array
+    origin: PyTree = None
 
 
 @jax.tree_util.register_dataclass
@@ -48,12 +51,14 @@ class State:
       task: the task's state.
       steps: int32 scalar, steps taken so far.
       horizon: int32 scalar, steps after which the episode is truncated.
+      origin: of the episode, see `Episode`.
     """
 
     environment: PyTree
     task: PyTree
     steps: jax.Array
     horizon: jax.Array
+    origin: PyTree = None
 
 
 @jax.tree_util.register_dataclass
@@ -117,6 +122,15 @@ class Step:
         """Bool: the episode is over, for either reason."""
         return self.terminated | self.truncated
 
+    @property
+    def info(self) -> dict[str, jax.Array]:
+        """Scalars by flat names: "success", "reward/<component>" and "task/<metric>"."""
+        return {
+            "success": self.success,
+            **{f"reward/{name}": value for name, value in self.reward_terms.items()},
+            **{f"task/{name}": value for name, value in self.metrics.items()},
+        }
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -129,6 +143,9 @@ class FinishedEpisodes:
       episode_return: float32, sum of rewards.
       length: int32, steps.
       task: the task's state at the end.
+      origin: what the sampler noted in `Episode.origin`.
+      mean_error: float32, mean |advantage| of those of the episode's steps that were taken in this
+        rollout: how far the value was from what came.
     """
 
     mask: jax.Array
@@ -136,6 +153,8 @@ class FinishedEpisodes:
     episode_return: jax.Array
     length: jax.Array
     task: PyTree
+    origin: PyTree
+    mean_error: jax.Array | None
 
 
 class Environment(ABC):
@@ -184,6 +203,16 @@ class TaskSampler(ABC):
     A sampler that does not learn from how episodes went needs only `sample`.
     """
 
+    @property
+    def learns(self) -> bool:
+        """Whether `update` is to be called; by default, whether it is overridden."""
+        return type(self).update is not TaskSampler.update
+
+    @property
+    def held_out(self) -> TaskSampler:
+        """The sampler of the episodes to evaluate on; by default this one, in its first state."""
+        return self
+
     def init(self, key: jax.Array) -> PyTree:
         """Returns the sampler's first state; by default it has none."""
         del key
@@ -197,6 +226,23 @@ class TaskSampler(ABC):
         """Learns from finished episodes, once per rollout; by default nothing."""
         del finished
         return sampler_state
+
+    def kinds(self, origin: PyTree) -> Mapping[str, jax.Array]:
+        """Tells named kinds of episodes apart, so that success is reported for each.
+
+        Args:
+          origin: of episodes, with any leading axes [...].
+
+        Returns:
+          Bool [...] by name, whether an episode is of that kind; by default there are no kinds.
+        """
+        del origin
+        return {}
+
+    def metrics(self, sampler_state: PyTree) -> Mapping[str, jax.Array]:
+        """Returns named float32 scalars of the sampler's state to log; by default none."""
+        del sampler_state
+        return {}
 
 
 class Sensor(ABC):
@@ -277,7 +323,8 @@ class POMDP:
     def begin(self, episode: Episode) -> State:
         """Returns the first state of an episode."""
         horizon = jnp.asarray(episode.horizon, jnp.int32)
-        return State(episode.environment, episode.task, jnp.zeros_like(horizon), horizon)
+        steps = jnp.zeros_like(horizon)
+        return State(episode.environment, episode.task, steps, horizon, episode.origin)
 
     def step(self, key: jax.Array, state: State, action: PyTree) -> tuple[State, Step]:
         """Takes one step; never resets.
@@ -293,7 +340,7 @@ class POMDP:
         environment = self.environment.step(key, state.environment, action)
         task, outcome = self.task.step(state.task, state.environment, action, environment)
         steps = state.steps + 1
-        state = State(environment, task, steps, state.horizon)
+        state = replace(state, environment=environment, task=task, steps=steps)
         reward = sum(outcome.reward.values(), start=jnp.float32(0))
         success = jnp.all(jnp.stack(list(outcome.success.values())), axis=0)
         return state, Step(

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import jaxpr_as_fun
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxact import train_state
@@ -53,7 +54,12 @@ def run_updates(
     def do(state: TrainState) -> tuple[TrainState, Metrics]:
         return update(experiment, stage_index, state, axis_name)
 
-    shapes = jax.eval_shape(do, state)[1]
+    # Traced once and kept, to know the metrics' shapes; tracing is a good part of starting up.
+    traced, (_, shapes) = jax.make_jaxpr(do, return_shape=True)(state)
+    structure = jax.tree.structure((state, shapes))
+
+    def do_traced(state: TrainState) -> tuple[TrainState, Metrics]:
+        return jax.tree.unflatten(structure, jaxpr_as_fun(traced)(*jax.tree.leaves(state)))
 
     def skip(state: TrainState) -> tuple[TrainState, Metrics]:
         return state, jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
@@ -61,7 +67,7 @@ def run_updates(
     def step(state: TrainState, i: jax.Array) -> tuple[TrainState, Metrics]:
         done = state.stopped[stage_index] | (state.updates[stage_index] >= total)
         active = (i < limit) & ~done
-        state, metrics = jax.lax.cond(active, do, skip, state)
+        state, metrics = jax.lax.cond(active, do_traced, skip, state)
         return state, {**metrics, "active": active}
 
     return jax.lax.scan(step, state, jnp.arange(length, dtype=jnp.int32))

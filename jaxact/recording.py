@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -93,6 +94,7 @@ def side_by_side(pictures: list[np.ndarray]) -> np.ndarray:
 @cached_by_identity
 def _player(pomdp: POMDP, model: Any, greedy: bool) -> tuple[Any, Any, Any]:
     """Compiles the start of an episode, a step of it and its pictures."""
+    pomdp = replace(pomdp, sampler=pomdp.sampler.held_out)
 
     def start(key: jax.Array) -> tuple[Any, ...]:
         state, observation = pomdp.reset(key)

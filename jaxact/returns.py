@@ -49,3 +49,25 @@ def generalized_advantages(
         backward, jnp.zeros_like(delta_t[0]), (delta_t, decay_t), reverse=True
     )
     return advantages
+
+
+def episode_means(x_t: jax.Array, finished_t: jax.Array) -> jax.Array:
+    """Returns at each step the mean of `x_t` over the episode's steps so far, float32 [T, ...].
+
+    Args:
+      x_t: float32 [T, ...].
+      finished_t: bool [T, ...], the episode ended with this step.
+    """
+    chex.assert_equal_shape([x_t, finished_t])
+
+    def forward(
+        carry: tuple[jax.Array, jax.Array], step: tuple[jax.Array, jax.Array]
+    ) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
+        total, count = carry
+        x, finished = step
+        total, count = total + x, count + 1
+        going_on = jnp.where(finished, 0.0, jnp.ones_like(x))
+        return (total * going_on, count * going_on), total / count
+
+    nothing = jnp.zeros_like(x_t[0])
+    return jax.lax.scan(forward, (nothing, nothing), (x_t, finished_t))[1]

@@ -83,7 +83,7 @@ class Trajectory:
       memory: the policy's memory after the step.
       expert: the expert's advice, None unless asked for.
       forced: bool, true where the expert's action was taken in place of the policy's.
-      finished: how episodes ended, with `finished.task` None unless asked for.
+      finished: how episodes ended, with `task` None unless asked for, and no `mean_error` yet.
       episode_terms: named components of the return of the episodes that ended.
     """
 
@@ -200,28 +200,29 @@ def start_lanes(
     lanes = keys.shape[0]
     stream_keys, lane_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
     used_up = jnp.full(lanes, queue_length, jnp.int32)
+    episode = jax.eval_shape(pomdp.sampler.sample, stream_keys[0], sampler_state)
+    state = jax.eval_shape(pomdp.begin, episode)
+    observation = jax.eval_shape(pomdp.observe, state)
+    action = pomdp.action_space.structure
+    _, step = jax.eval_shape(pomdp.step, lane_keys[0], state, action)
 
-    def fill(keys: jax.Array) -> EpisodeQueue:
-        return fill_queue(pomdp, sampler_state, keys, -used_up, queue_length)
+    def nothing_like(tree: PyTree, *lead: int) -> PyTree:
+        return jax.tree.map(lambda x: jnp.zeros((*lead, *x.shape), x.dtype), tree)
 
-    def nothing_like(tree: PyTree) -> PyTree:
-        return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), tree)
-
-    filled = jax.eval_shape(fill, stream_keys)
-    episodes, observations = nothing_like((filled.episodes, filled.observations))
-    queue = EpisodeQueue(stream_keys, -used_up, used_up, episodes, observations)
-    state = jax.vmap(pomdp.begin)(jax.tree.map(lambda x: x[:, 0], episodes))
-    action = jax.tree.map(
-        lambda x: jnp.zeros((lanes, *x.shape), x.dtype), pomdp.action_space.structure
+    queue = EpisodeQueue(
+        key=stream_keys,
+        first=-used_up,
+        taken=used_up,
+        episodes=nothing_like(episode, lanes, queue_length),
+        observations=nothing_like(observation, lanes, queue_length),
     )
-    _, step = jax.eval_shape(jax.vmap(pomdp.step), lane_keys, state, action)
     return Lanes(
         key=lane_keys,
-        state=state,
-        observation=jax.tree.map(lambda x: x[:, 0], observations),
+        state=nothing_like(state, lanes),
+        observation=nothing_like(observation, lanes),
         queue=queue,
         memory=model.initial_memory(lanes),
-        previous_action=action,
+        previous_action=nothing_like(action, lanes),
         is_first=jnp.ones(lanes, bool),
         episode_return=jnp.zeros(lanes, jnp.float32),
         episode_terms={name: jnp.zeros(lanes, jnp.float32) for name in step.reward_terms},
@@ -296,6 +297,8 @@ def rollout(
                 episode_return=episode_return,
                 length=state.steps,
                 task=state.task if keep_tasks else None,
+                origin=state.origin,
+                mean_error=None,
             ),
             episode_terms=episode_terms,
         )

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from jaxact.errors import JaxactError
 
@@ -39,7 +39,7 @@ def confidence_interval(successes: int, n: int, level: float = 0.95) -> tuple[fl
         raise JaxactError(f"expected 0 <= successes <= n, but got {successes} of {n}")
     if n == 0:
         return 0.0, 1.0
-    z = float(stats.norm.ppf((1 + level) / 2))
+    z = float(special.ndtri((1 + level) / 2))
     p = successes / n
     center = (p + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z / (1 + z**2 / n) * math.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
@@ -76,7 +76,7 @@ def mean_interval(values: Sequence[float] | np.ndarray, level: float = 0.95) -> 
     if array.size == 1:
         return -math.inf, math.inf
     error = array.std(ddof=1) / math.sqrt(array.size)
-    half = float(stats.t.ppf((1 + level) / 2, array.size - 1) * error)
+    half = float(special.stdtrit(array.size - 1, (1 + level) / 2) * error)
     mean = float(array.mean())
     return mean - half, mean + half
 

@@ -140,6 +140,8 @@ def _check_sampler(pomdp: POMDP, key: jax.Array, state: State) -> None:
         episode_return=jnp.ones((1, 1), jnp.float32),
         length=jnp.ones((1, 1), jnp.int32),
         task=jax.tree.map(lambda x: x[None, None], state.task),
+        origin=jax.tree.map(lambda x: x[None, None], state.origin),
+        mean_error=jnp.ones((1, 1), jnp.float32),
     )
     after = pomdp.sampler.update(before, finished)
     assert _signature(after) == _signature(before), (

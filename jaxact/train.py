@@ -340,10 +340,10 @@ class Run:
 
 def _rates(rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Turns sums over finished episodes into means, for each update."""
-    count = rows["episodes/count"]
     rates = {}
     for name, values in rows.items():
-        if name.startswith("episodes/") and name != "episodes/count":
+        if name.startswith("episodes/") and not _is_count(name):
+            count = rows[_count_of(name)]
             mean = np.full(len(count), np.nan, np.float32)
             np.divide(values, count, out=mean, where=count > 0)
             rates[f"train/{name.removeprefix('episodes/')}"] = mean
@@ -354,16 +354,27 @@ def _rates(rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 def _summarise(rows: dict[str, np.ndarray]) -> dict[str, float]:
     """Means over the updates of a chunk; of episodes, over all that finished in it."""
-    count = float(rows["episodes/count"].sum())
-    means = {"train/episodes": count}
+    means = {}
     for name, values in rows.items():
-        if name.startswith("episodes/"):
-            if name != "episodes/count":
-                mean = float(values.sum()) / count if count else math.nan
-                means[f"train/{name.removeprefix('episodes/')}"] = mean
+        tag = f"train/{name.removeprefix('episodes/')}"
+        if _is_count(name):
+            means[f"{tag.removesuffix('count')}episodes"] = float(values.sum())
+        elif name.startswith("episodes/"):
+            count = float(rows[_count_of(name)].sum())
+            means[tag] = float(values.sum()) / count if count else math.nan
         elif name.startswith(("losses/", "train/")):
             means[name] = float(np.mean(values))
     return means
+
+
+def _is_count(name: str) -> bool:
+    return name.startswith("episodes/") and _count_of(name) == name
+
+
+def _count_of(name: str) -> str:
+    """Returns the count by which a sum over episodes is to be divided."""
+    of_kind = name.startswith("episodes/kinds/")
+    return name.rpartition("/")[0] + "/count" if of_kind else "episodes/count"
 
 
 class _CallableModule(ModuleType):

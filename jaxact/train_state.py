@@ -42,8 +42,8 @@ class TrainState:
     block: jax.Array
 
 
-def make_key(seed: int) -> jax.Array:
-    """Returns the PRNG key of a run."""
+def make_key(seed: int | jax.Array) -> jax.Array:
+    """Returns the PRNG key of a run, or of a level."""
     return jax.random.key(seed, impl=PRNG_IMPLEMENTATION)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -12,8 +13,8 @@ import optax
 from jaxact.experiment import Experiment
 from jaxact.losses.base import Batch, Progress
 from jaxact.pipeline import Stage, TrainingPipeline
-from jaxact.pomdp import PyTree, TaskSampler
-from jaxact.returns import generalized_advantages
+from jaxact.pomdp import PyTree
+from jaxact.returns import episode_means, generalized_advantages
 from jaxact.rollout import Lanes, Trajectory, next_values, rollout
 from jaxact.schedules import value_at
 from jaxact.train_state import TrainState, optimizer_for
@@ -34,13 +35,13 @@ def update(
 
     Returns:
       The state after it and scalar metrics. Those under "episodes/" are sums over the episodes that
-      finished, to be divided by "episodes/count"; the rest are means over the update.
+      finished, to be divided by "episodes/count", and "episodes/kinds/{kind}/success" by the
+      "count" beside it; the rest are means over the update.
     """
     pomdp, pipeline = experiment.pomdp, experiment.pipeline
     stage = pipeline.stages[stage_index]
     settings = pipeline.at(stage)
     progress = _progress(pipeline, stage_index, state.updates)
-    curriculum = type(pomdp.sampler).update is not TaskSampler.update
 
     def policy(*inputs: Any) -> Any:
         return experiment.model.apply(state.params, *inputs)
@@ -56,7 +57,7 @@ def update(
         settings.rollout_length,
         query_expert=stage.needs_expert,
         teacher_forcing=teacher_forcing,
-        keep_tasks=curriculum,
+        keep_tasks=pomdp.sampler.learns,
     )
     batch = make_batch(
         trajectory, next_values(policy, trajectory), state.lanes.memory, settings, axis_name
@@ -70,13 +71,17 @@ def update(
     )
 
     sampler = state.sampler
-    if curriculum:
-        sampler = pomdp.sampler.update(sampler, _gather_lanes(trajectory.finished, axis_name))
-    episodes = _episode_sums(trajectory, axis_name)
+    if pomdp.sampler.learns:
+        error = episode_means(jnp.abs(batch.advantage), trajectory.step.finished)
+        finished = replace(trajectory.finished, mean_error=error)
+        sampler = pomdp.sampler.update(sampler, _gather_lanes(finished, axis_name))
+    kinds = pomdp.sampler.kinds(trajectory.finished.origin)
+    episodes = _episode_sums(trajectory, kinds, axis_name)
     block, stopped = _early_stopping(stage, state.block[stage_index], episodes)
     metrics = {
         **losses,
         **{f"episodes/{name}": value for name, value in episodes.items()},
+        **{f"train/sampler/{n}": x for n, x in pomdp.sampler.metrics(sampler).items()},
         "train/learning_rate": learning_rate,
         "train/teacher_forcing": teacher_forcing,
         "train/forced": _global_mean(trajectory.forced.astype(jnp.float32), axis_name),
@@ -228,8 +233,13 @@ def _progress(pipeline: TrainingPipeline, stage_index: int, updates: jax.Array) 
     return Progress(stage_steps=steps[stage_index], total_steps=jnp.sum(steps))
 
 
-def _episode_sums(trajectory: Trajectory, axis_name: str | None) -> Metrics:
-    """Sums over finished episodes: count, success, return, its terms, length, task metrics."""
+def _episode_sums(
+    trajectory: Trajectory, kinds: Mapping[str, jax.Array], axis_name: str | None
+) -> Metrics:
+    """Sums over finished episodes: count, success, return, its terms, length, task metrics.
+
+    Count and success also for each kind, bool [T, B].
+    """
     finished = trajectory.finished
     values = {
         "success": finished.success,
@@ -241,6 +251,10 @@ def _episode_sums(trajectory: Trajectory, axis_name: str | None) -> Metrics:
     mask = finished.mask
     sums = {n: jnp.sum(jnp.where(mask, v.astype(jnp.float32), 0.0)) for n, v in values.items()}
     sums["count"] = jnp.sum(mask.astype(jnp.float32))
+    for name, of_kind in kinds.items():
+        ended = mask & of_kind
+        sums[f"kinds/{name}/count"] = jnp.sum(ended.astype(jnp.float32))
+        sums[f"kinds/{name}/success"] = jnp.sum((ended & finished.success).astype(jnp.float32))
     return sums if axis_name is None else jax.lax.psum(sums, axis_name)
 
 

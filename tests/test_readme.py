@@ -23,7 +23,7 @@ def code_of(text):
 
 def test_code_of_the_readme_runs(tmp_path):
     text = README.read_text(encoding="utf-8")
-    assert len(re.findall(r"^```python$", text, re.M)) == 6
+    assert len(re.findall(r"^```python$", text, re.M)) == 9
     program = tmp_path / "README.py"
     program.write_text(code_of(text), encoding="utf-8")
     # Without the tests' own flags, which make training crawl.

@@ -37,13 +37,15 @@ from envs_jax.minigrid.samplers.obstructed_maze import ObstructedMazeSampler
 from envs_jax.minigrid.samplers.playground import PlaygroundSampler
 from envs_jax.minigrid.samplers.red_blue_doors import RedBlueDoorsSampler
 from envs_jax.minigrid.samplers.unlock import UnlockSampler
-from envs_jax.minigrid.sensors import VIEW_SIZE, DirectionSensor, ImageSensor, MissionSensor
+from envs_jax.minigrid.samplers.wfc import LOOKS, SIZE, WFCSampler
+from envs_jax.minigrid.sensors import VIEW_SIZE, DirectionSensor, MissionSensor
 from envs_jax.minigrid.tasks import (
     DemonstratedInstructionTask,
     GoalTask,
     GoToTask,
     InstructionTask,
 )
+from envs_jax.minigrid.views import TILE_SIZE, image_sensor
 from envs_jax.registry import register
 from jaxact.pomdp import POMDP, Environment, Task, TaskSampler
 
@@ -56,8 +58,10 @@ def compose(
     *,
     environment: Environment | None = None,
     see_through_walls: bool = False,
-    view_size: int = VIEW_SIZE,
     mission_length: int = MISSION_LENGTH,
+    observation: str = "image",
+    view_size: int = VIEW_SIZE,
+    tile_size: int = TILE_SIZE,
 ) -> POMDP:
     """Composes a grid world with MiniGrid's three observations: image, direction and mission.
 
@@ -68,14 +72,23 @@ def compose(
       height: cells along y.
       environment: the dynamics; by default those that most worlds share.
       see_through_walls: whether walls and shut doors hide nothing.
-      view_size: cells along a side of the agent's view.
       mission_length: words that the longest mission needs.
+      observation: what the image shows, see `views.image_sensor`.
+      view_size: cells along a side of the agent's view.
+      tile_size: pixels of a cell's edge, where the image is of pixels.
 
     Raises:
-      JaxactError: `view_size` is not odd, or not in 3 … 31.
+      JaxactError: no such observation, or a size that cannot be.
     """
     sensors = {
-        "image": ImageSensor(width, height, view_size, see_through_walls),
+        "image": image_sensor(
+            observation,
+            width,
+            height,
+            see_through_walls=see_through_walls,
+            view_size=view_size,
+            tile_size=tile_size,
+        ),
         "direction": DirectionSensor(),
         "mission": MissionSensor(mission_length),
     }
@@ -94,7 +107,12 @@ class _World(NamedTuple):
     mission_length: int = MISSION_LENGTH
 
 
-def _grid_world(world: _World, view_size: int = VIEW_SIZE) -> POMDP:
+def _grid_world(
+    world: _World,
+    observation: str = "image",
+    view_size: int = VIEW_SIZE,
+    tile_size: int = TILE_SIZE,
+) -> POMDP:
     return compose(
         world.task(world.width, world.height),
         world.sampler,
@@ -102,8 +120,10 @@ def _grid_world(world: _World, view_size: int = VIEW_SIZE) -> POMDP:
         world.height,
         environment=world.environment,
         see_through_walls=world.see_through_walls,
-        view_size=view_size,
         mission_length=world.mission_length,
+        observation=observation,
+        view_size=view_size,
+        tile_size=tile_size,
     )
 
 
@@ -112,6 +132,12 @@ _EMPTY_SIZES = (5, 6, 8, 16)
 _EMPTY_RANDOM_SIZES = (5, 6)
 _DOOR_KEY_SIZES = (5, 6, 8, 16)
 _CROSSINGS = ((9, 1), (9, 2), (9, 3), (11, 5))
+# Those of ADVISOR's experiments (Weihs et al. 2021, https://arxiv.org/abs/2007.12173), by name.
+_ADVISOR_CROSSINGS = {
+    "LavaCrossingS15N7-v0": (15, 7, False),
+    "LavaCrossingS25N10-v0": (25, 10, False),
+    "WallCrossingS25N10-v0": (25, 10, True),
+}
 # Rooms and their largest size. The four in N4-S5-v0 were always six.
 _MULTI_ROOMS = {"N2-S4-v0": (2, 4), "N4-S5-v0": (6, 5), "N4-S5-v1": (4, 5), "N6-v0": (6, 10)}
 # What to do, size, number of objects, horizon. That of PutNear is in proportion to the side.
@@ -183,6 +209,8 @@ def _goal_worlds() -> dict[str, _World]:
     for name, (rooms, largest) in _MULTI_ROOMS.items():
         worlds[f"MultiRoom-{name}"] = _World(MultiRoomSampler(rooms, largest, 20 * rooms), 25, 25)
     worlds["LockedRoom-v0"] = _World(LockedRoomSampler(190), 19, 19)
+    for look in LOOKS:
+        worlds[f"WFC-{look}-v0"] = _World(WFCSampler(look, 20 * SIZE), SIZE, SIZE)
     return worlds
 
 
@@ -236,6 +264,14 @@ def _room_grid_worlds() -> dict[str, _World]:
     return worlds
 
 
+def _advisor_worlds() -> dict[str, _World]:
+    """Returns MiniGrid's crossings in the sizes of ADVISOR's experiments, by name."""
+    return {
+        name: _World(CrossingSampler(size, rivers, 4 * size**2, walls), size, size)
+        for name, (size, rivers, walls) in _ADVISOR_CROSSINGS.items()
+    }
+
+
 def _one_room_world(sampler: GoToSampler) -> _World:
     size = sampler.size
     return _World(sampler, size, size, GoToTask, mission_length=GO_TO_LENGTH)
@@ -268,10 +304,16 @@ def _level_world(sampler: LevelSampler) -> _World:
 
 
 def register_all() -> None:
-    """Registers every grid world under Farama's id; all take the option `view_size`."""
+    """Registers every grid world under Farama's id.
+
+    All take the options `observation`, `view_size` and `tile_size`, see `compose`. Those of which
+    there is none in Farama's packages have the prefix `Advisor-`.
+    """
     worlds = _goal_worlds() | _rule_worlds() | _room_grid_worlds() | _obstacle_worlds()
     for name, world in worlds.items():
         register(f"MiniGrid-{name}", partial(_grid_world, world))
+    for name, world in _advisor_worlds().items():
+        register(f"Advisor-{name}", partial(_grid_world, world))
     for name, go_to_sampler in babyai.one_room_levels().items():
         register(f"BabyAI-{name}", partial(_grid_world, _one_room_world(go_to_sampler)))
     for name, level_sampler in babyai.levels().items():

@@ -66,8 +66,8 @@ class ImportedInstruction:
         """Reads `env.instrs`; `name` is for messages.
 
         Raises:
-          JaxactError: the instruction is of a kind that no registered level has, or what the agent
-            held was exchanged by hand so that nothing can stand for it.
+          JaxactError: the instruction is of a kind that no registered level has, or hands were
+            filled or emptied by hand so that nothing can stand for it.
         """
         from minigrid.envs.babyai.core.verifier import AfterInstr, BeforeInstr
 
@@ -175,6 +175,14 @@ class ImportedInstruction:
                 f"{name}: what the agent held was exchanged by hand, and its instruction still "
                 "counts on it; take a step before from_minigrid"
             )
+        if clause.verb == PUT_NEXT and _tracks(clause.thing, held):
+            # Only where it was put into the hands by hand does it still have a position.
+            for x, y in clause.instr.desc_fixed.obj_poss:
+                if abs(held.cur_pos[0] - x) + abs(held.cur_pos[1] - y) == 1:
+                    raise JaxactError(
+                        f"{name}: what the agent holds has a position beside the object to put it "
+                        "next to; set its cur_pos to (-1, -1), as picking it up does"
+                    )
 
 
 def _group(name: str, instr: Any, later: bool, done: bool, reached: bool) -> list[_Clause]:

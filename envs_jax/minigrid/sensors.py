@@ -27,13 +27,14 @@ _OPAQUE = 1 << tiles.WALL | 1 << tiles.CLOSED_DOOR | 1 << tiles.LOCKED_DOOR
 
 
 @dataclass(frozen=True)
-class PackedImageSensor(Sensor):
-    """The agent's view as packed tiles, uint8[view_size, view_size], indexed [vx, vy].
+class GridSensor(Sensor):
+    """What image sensors share: the grid, the agent's view of it, and pictures for people.
 
-    `tiles.decode` turns it into MiniGrid's image. What is carried shows in the agent's own cell;
-    cells out of sight are 0. `view_size` is odd, from 3 to 31.
-
-    Source: `MiniGridEnv.gen_obs_grid` and `Grid.process_vis` of minigrid 3.2.0.
+    Attributes:
+      width: cells of the grid along x.
+      height: cells of the grid along y.
+      view_size: edge of the agent's view in cells, odd, from 3 to 31.
+      see_through_walls: whether walls and shut doors hide nothing.
     """
 
     width: int
@@ -46,6 +47,44 @@ class PackedImageSensor(Sensor):
             raise JaxactError(
                 f"view_size must be odd, from 3 to {MAX_VIEW_SIZE}; got {self.view_size!r}"
             )
+
+    @property
+    def view(self) -> PackedImageSensor:
+        """The sensor of the agent's own view, packed."""
+        return PackedImageSensor(self.width, self.height, self.view_size, self.see_through_walls)
+
+    def picture(self, state: GridState, task_state: PyTree) -> jax.Array:
+        """Returns the world from above, what is seen lighter, beside the agent's own view."""
+        # The renderer lightens what the sensor sees, so it imports this module.
+        from envs_jax.minigrid.rendering import render, render_egocentric
+
+        tile_size = 32 if max(self.width, self.height) <= 10 else 16
+        world = render(
+            state,
+            self.width,
+            self.height,
+            tile_size,
+            view_size=self.view_size,
+            see_through_walls=self.see_through_walls,
+        )
+        view = render_egocentric(self.view.observe(state, task_state), tile_size)
+        tall = max(world.shape[0], view.shape[0])
+
+        def padded(frame: jax.Array, right: int) -> jax.Array:
+            return jnp.pad(frame, ((0, tall - frame.shape[0]), (0, right), (0, 0)))
+
+        return jnp.concatenate([padded(world, tile_size // 2), padded(view, 0)], axis=1)
+
+
+@dataclass(frozen=True)
+class PackedImageSensor(GridSensor):
+    """The agent's view as packed tiles, uint8[view_size, view_size], indexed [vx, vy].
+
+    `tiles.decode` turns it into MiniGrid's image. What is carried shows in the agent's own cell;
+    cells out of sight are 0.
+
+    Source: `MiniGridEnv.gen_obs_grid` and `Grid.process_vis` of minigrid 3.2.0.
+    """
 
     @property
     def space(self) -> Box:
@@ -93,24 +132,12 @@ class PackedImageSensor(Sensor):
 
 
 @dataclass(frozen=True)
-class ImageSensor(Sensor):
+class ImageSensor(GridSensor):
     """The agent's view in MiniGrid's encoding, uint8[view_size, view_size, 3].
 
     Indexed [vx, vy, channel]; the channels are type, colour and door state. See
     `PackedImageSensor`.
     """
-
-    width: int
-    height: int
-    view_size: int = VIEW_SIZE
-    see_through_walls: bool = False
-
-    def __post_init__(self) -> None:
-        self._packed  # noqa: B018 (it checks the view size)
-
-    @property
-    def _packed(self) -> PackedImageSensor:
-        return PackedImageSensor(self.width, self.height, self.view_size, self.see_through_walls)
 
     @property
     def space(self) -> Box:
@@ -119,29 +146,7 @@ class ImageSensor(Sensor):
 
     def observe(self, state: GridState, task_state: PyTree) -> jax.Array:
         """Returns the image."""
-        return tiles.decode(self._packed.observe(state, task_state))
-
-    def picture(self, state: GridState, task_state: PyTree) -> jax.Array:
-        """Returns the world from above, what is seen lighter, beside the agent's own view."""
-        # The renderer lightens what the sensor sees, so it imports this module.
-        from envs_jax.minigrid.rendering import render, render_egocentric
-
-        tile_size = 32 if max(self.width, self.height) <= 10 else 16
-        world = render(
-            state,
-            self.width,
-            self.height,
-            tile_size,
-            view_size=self.view_size,
-            see_through_walls=self.see_through_walls,
-        )
-        view = render_egocentric(self._packed.observe(state, task_state), tile_size)
-        tall = max(world.shape[0], view.shape[0])
-
-        def padded(frame: jax.Array, right: int) -> jax.Array:
-            return jnp.pad(frame, ((0, tall - frame.shape[0]), (0, right), (0, 0)))
-
-        return jnp.concatenate([padded(world, tile_size // 2), padded(view, 0)], axis=1)
+        return tiles.decode(self.view.observe(state, task_state))
 
 
 @dataclass(frozen=True)

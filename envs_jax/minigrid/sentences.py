@@ -67,22 +67,17 @@ class Description(NamedTuple):
     color: jax.Array
     location: jax.Array
 
-    def matches(
-        self, plane: jax.Array, position: jax.Array, direction: jax.Array, room_size: int
-    ) -> jax.Array:
-        """Returns bool[width, height], true where there is an object that one description fits.
+    def fits(self, codes: jax.Array, places: jax.Array) -> jax.Array:
+        """Returns bool[...], of which objects one description is true.
 
         Args:
-          plane: uint8[width, height] of packed tiles.
-          position: int32[2], the agent's first position.
-          direction: int32 scalar, the agent's first direction.
-          room_size: cells along a room's side, both its walls included.
+          codes: uint8[...] packed tiles.
+          places: bool[5, ...], which locations each of them has; see `located`.
         """
-        kinds = kind_of(plane)
+        kinds = kind_of(codes)
         fits = (kinds == self.kind) | ((self.kind == ANY_KIND) & (kinds != tiles.EMPTY))
-        fits &= (color_of(plane) == self.color) | (self.color == ANY_COLOR)
-        x, y = jnp.indices(plane.shape, jnp.int32)
-        return fits & located(x, y, position, direction, room_size)[self.location]
+        fits &= (color_of(codes) == self.color) | (self.color == ANY_COLOR)
+        return fits & places[self.location]
 
 
 def kind_of(code: jax.Array) -> jax.Array:

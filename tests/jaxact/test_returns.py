@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxact.returns import generalized_advantages
+from jaxact.returns import episode_means, generalized_advantages
 
 
 def f32(*values):
@@ -63,3 +63,9 @@ def test_against_a_loop(transform):
         expected[t] = running
     got = transform(generalized_advantages)(r, v, w, terminated, finished, discount, lambda_)
     np.testing.assert_allclose(got, expected, rtol=1e-5, atol=1e-5)
+
+
+def test_means_begin_anew_with_each_episode():
+    finished = jnp.array([[False, True, False, False], [True, False, False, False]]).T
+    means = episode_means(f32([4, 2, 1, 3], [1, 2, 4, 6]).T, finished)
+    np.testing.assert_allclose(means.T, [[4, 3, 1, 2], [1, 2, 3, 4]])

@@ -65,6 +65,18 @@ def choose_cell(draw: jax.Array, free: jax.Array) -> tuple[jax.Array, jax.Array]
     return jnp.stack([x, y]), columns[-1] > 0
 
 
+def choose_ranked(rank: jax.Array, counts: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Returns in which of some short ranges a rank falls, int32, and its rank in there.
+
+    Args:
+      rank: int32 scalar, below the sum of `counts`.
+      counts: int32[n], the ranges' sizes.
+    """
+    ends = _running_sums(counts)
+    chosen = jnp.sum(ends <= rank, dtype=jnp.int32)
+    return chosen, rank - jnp.where(chosen > 0, ends[chosen - 1], 0)
+
+
 def _running_sums(counts: jax.Array) -> jax.Array:
     """Returns the running sums of a short int32[n]; n² additions beat n dependent ones here."""
     places = jnp.arange(counts.shape[0], dtype=jnp.int32)
@@ -98,18 +110,64 @@ def objects_reachable(plane: jax.Array, position: jax.Array) -> jax.Array:
     objects = _rows((kinds != tiles.EMPTY) & (kinds != tiles.WALL))
     start = _rows(at(position, plane.shape))
 
-    def spread(rows: jax.Array) -> jax.Array:
-        edge = jnp.zeros((1,), rows.dtype)
-        beside = jnp.concatenate([rows[1:], edge]) | jnp.concatenate([edge, rows[:-1]])
-        return rows | rows << 1 | rows >> 1 | beside
-
     def grow(rows: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        return rows[1], rows[1] | spread(rows[1]) & open_rows
+        return rows[1], rows[1] | _spread(rows[1]) & open_rows
 
     reached, _ = jax.lax.while_loop(
         lambda rows: jnp.any(rows[0] != rows[1]), grow, (jnp.zeros_like(start), start)
     )
-    return jnp.all(objects & ~spread(reached) == 0)
+    return jnp.all(objects & ~_spread(reached) == 0)
+
+
+def largest_component(free: jax.Array) -> jax.Array:
+    """Returns the largest of the 4-connected parts of `free`, the first found if several are.
+
+    Args:
+      free: bool[width, height], height at most 32.
+
+    Returns:
+      bool[width, height]; all false when `free` is.
+    """
+
+    def count(rows: jax.Array) -> jax.Array:
+        return jnp.sum(jax.lax.population_count(rows), dtype=jnp.uint32)
+
+    def first_cell(rows: jax.Array) -> jax.Array:
+        lowest = rows & -rows
+        first = jnp.arange(rows.shape[0], dtype=jnp.int32) == jnp.argmax(rows != 0)
+        return jnp.where(first, lowest, jnp.uint32(0))
+
+    # One loop both grows the present part and goes on to the next: under `vmap`, lanes wait for the
+    # one with most to do, not for the longest part of each.
+    def grow(
+        parts: tuple[jax.Array, jax.Array, jax.Array],
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        part, left, largest = parts
+        grown = part | _spread(part) & left
+        whole = jnp.all(grown == part)
+        larger = whole & (count(part) > count(largest))
+        left = jnp.where(whole, left & ~part, left)
+        return (
+            jnp.where(whole, first_cell(left), grown),
+            left,
+            jnp.where(larger, part, largest),
+        )
+
+    rows = _rows(free)
+    _, _, largest = jax.lax.while_loop(
+        lambda parts: count(parts[1]) > count(parts[2]),
+        grow,
+        (first_cell(rows), rows, jnp.zeros_like(rows)),
+    )
+    bits = jnp.arange(free.shape[1], dtype=jnp.uint32)
+    return (largest[:, None] >> bits[None, :]) & 1 == 1
+
+
+def _spread(rows: jax.Array) -> jax.Array:
+    """Returns the cells packed by `_rows`, and those beside them."""
+    edge = jnp.zeros((1,), rows.dtype)
+    beside = jnp.concatenate([rows[1:], edge]) | jnp.concatenate([edge, rows[:-1]])
+    return rows | rows << 1 | rows >> 1 | beside
 
 
 def _rows(cells: jax.Array) -> jax.Array:
@@ -129,6 +187,7 @@ def until_valid(key: jax.Array, draw: Callable[[jax.Array], tuple[Any, jax.Array
         depend on other traced values.
     """
 
+    @jax.jit  # So that it is traced once.
     def attempt(key: jax.Array) -> tuple[jax.Array, Any, jax.Array]:
         next_key, draw_key = jax.random.split(key)
         return next_key, *draw(draw_key)

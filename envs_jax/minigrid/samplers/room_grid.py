@@ -270,13 +270,13 @@ class RoomGrid:
         allowed = jnp.ones(tiles.NUM_COLORS, bool) if colors is None else colors
         looks, order = placement.split_draw(draws, jnp.sum(allowed, dtype=jnp.int32))
         ranks = jnp.cumsum(allowed, dtype=jnp.int32)
-        looks = jnp.sum(ranks <= looks[..., None], axis=-1, dtype=jnp.int32)
+        looks = jnp.sum(ranks[None, None, None] <= looks[..., None], axis=-1, dtype=jnp.int32)
 
         # Doors come in the order of their draws; those that never come have 2, what is open −1.
         never = jnp.float32(2)
         right, down = layout.locked[1:, :], layout.locked[:, 1:]
         beyond = jnp.stack([jnp.pad(right, ((0, 1), (0, 0))), jnp.pad(down, ((0, 0), (0, 1)))])
-        may_open = jnp.asarray(self._inner) & ~layout.joined & ~layout.locked & ~beyond
+        may_open = jnp.asarray(self._inner) & ~layout.joined & ~layout.locked[None] & ~beyond
         opens = jnp.where(layout.joined, -1, jnp.where(may_open, order, never))
         opens_right, opens_down = opens[0, :-1, :], opens[1, :, :-1]
 

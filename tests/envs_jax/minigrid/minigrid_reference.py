@@ -16,12 +16,19 @@ import minigrid  # noqa: F401 (it registers its ids)
 import numpy as np
 from minigrid.core.world_object import Ball, Box, Door, Floor, Goal, Key, Lava, Wall
 
+import envs_jax
 from envs_jax import minigrid as jax_minigrid
 from envs_jax.minigrid import interop, tiles
 from envs_jax.minigrid.obstacles import ObstacleWorld
 from envs_jax.minigrid.state import GridState
 from jaxact.pomdp import POMDP, State
 
+# Worlds that the package can make: the pictures that its WFC worlds are made from are not in it.
+PACKAGE_IDS = [
+    name
+    for name in envs_jax.ids()
+    if name.startswith(("MiniGrid-", "BabyAI-")) and "-WFC-" not in name
+]
 COLORS = ("red", "green", "blue", "purple", "yellow", "grey")
 STEPS = 48
 
@@ -159,6 +166,8 @@ def move_something(env: Any, rng: np.random.Generator) -> None:
         index = empty[rng.integers(len(empty))]
         env.grid.grid[index] = thing
         thing.cur_pos = (index % env.width, index // env.width)
+        if env.carrying is not None:  # What is held since the beginning still has its position.
+            env.carrying.cur_pos = (-1, -1)
 
 
 def face_something(env: Any, rng: np.random.Generator) -> None:
@@ -185,6 +194,7 @@ def take_something(env: Any, rng: np.random.Generator) -> None:
     if places:
         index = places[rng.integers(len(places))]
         env.carrying, env.grid.grid[index] = env.grid.grid[index], None
+        env.carrying.cur_pos = (-1, -1)  # As picking it up does.
 
 
 def random_portable(rng: np.random.Generator) -> Any:

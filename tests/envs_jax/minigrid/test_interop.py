@@ -91,6 +91,13 @@ def test_what_cannot_be_imported_is_named():
     env.carrying = None
     with pytest.raises(JaxactError, match="was exchanged by hand"):
         interop.from_minigrid(env)
+    env = python_env("BabyAI-PutNextS5N2Carrying-v0")
+    env.reset(seed=0)
+    interop.from_minigrid(env)
+    x, y = env.instrs.desc_fixed.obj_poss[0]
+    env.carrying.cur_pos = (x - 1, y)
+    with pytest.raises(JaxactError, match="has a position beside the object"):
+        interop.from_minigrid(env)
     env = python_env("MiniGrid-Empty-5x5-v0")
     with pytest.raises(JaxactError, match="never reset"):
         interop.from_minigrid(env)

@@ -21,6 +21,7 @@ from envs_jax.minigrid.sentences import (
     Sentence,
     color_of,
     kind_of,
+    located,
 )
 from envs_jax.minigrid.tasks import InstructionState
 from jaxact.pomdp import Episode, PyTree, TaskSampler
@@ -121,9 +122,11 @@ class LevelSampler(TaskSampler):
 
 def matches(grid: RoomGrid, layout: Layout, sentence: Sentence) -> tuple[jax.Array, jax.Array]:
     """Returns bool[n, width, height] twice: where the things and the places of n clauses are."""
+    x, y = jnp.indices(layout.plane.shape, jnp.int32)
+    places = located(x, y, layout.agent, layout.direction, grid.room_size)
 
     def find(what: Description) -> jax.Array:
-        return what.matches(layout.plane, layout.agent, layout.direction, grid.room_size)
+        return what.fits(layout.plane, places)
 
     return jax.vmap(find)(sentence.things), jax.vmap(find)(sentence.places)
 
@@ -172,16 +175,35 @@ def leave_out(said: jax.Array, one: Sentence) -> Sentence:
     )
 
 
-def put_next_is_possible(things: jax.Array, places: jax.Array, sentence: Sentence) -> jax.Array:
+def put_next_is_possible(
+    grid: RoomGrid,
+    layout: Layout,
+    sentence: Sentence,
+    codes: jax.Array,
+    cells: jax.Array,
+    here: jax.Array | bool = True,
+) -> jax.Array:
     """Returns a bool: in no clause that puts, a thing is a place or stands beside one already.
+
+    Args:
+      grid: the rooms.
+      layout: the level.
+      sentence: its instruction, of n clauses.
+      codes: uint8[m], the packed tiles of all objects and doors.
+      cells: int32[m, 2], where they are.
+      here: bool[m], which of them there are.
 
     Source: `RoomGridLevel.validate_instrs` of minigrid 3.2.0.
     """
-    near = things
-    for axis in (1, 2):
-        for shift in (1, -1):  # Nothing wraps round: the grid's edge is wall, neither is it.
-            near |= jnp.roll(things, shift, axis)
-    clash = jnp.any(near & places, axis=(1, 2))
+    x, y = cells[:, 0], cells[:, 1]
+    places = located(x, y, layout.agent, layout.direction, grid.room_size) & here
+    near = jnp.abs(x[:, None] - x[None]) + jnp.abs(y[:, None] - y[None]) <= 1
+
+    def clashes(thing: Description, place: Description) -> jax.Array:
+        put, beside = thing.fits(codes, places), place.fits(codes, places)
+        return jnp.any(put[:, None] & near & beside[None])
+
+    clash = jax.vmap(clashes)(sentence.things, sentence.places)
     return ~jnp.any(clash & (sentence.verbs == PUT_NEXT))
 
 

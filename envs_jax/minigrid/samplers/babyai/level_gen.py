@@ -28,7 +28,6 @@ from envs_jax.minigrid.samplers.babyai.level import (
     describe,
     join,
     leave_out,
-    matches,
     put_next_is_possible,
     random_color,
 )
@@ -130,7 +129,9 @@ class LevelGenSampler(LevelSampler):
             inside = grid.in_room(locked)[cells[:, 0], cells[:, 1]] & is_locked
             fits &= self._fits(layout, codes, cells, here & ~inside)
         sentence, found = self._sentence(fits, verbs, descriptions, order)
-        valid &= found & put_next_is_possible(*matches(grid, layout, sentence), sentence)
+        valid &= found
+        if PUT_NEXT in self.verbs:
+            valid &= put_next_is_possible(grid, layout, sentence, codes, cells, here[None])
         if self.unblocking and self.locked_room > 0:
             locks = codes & tiles.TYPE_MASK == tiles.LOCKED_DOOR
             color = jnp.max(jnp.where(locks & here, color_of(codes), 0))
@@ -220,20 +221,24 @@ class LevelGenSampler(LevelSampler):
         """
         # Half of the descriptions have no location; the other half is shared by four.
         shares = (4, 1, 1, 1, 1) if self.locations else (1, 0, 0, 0, 0)
-        weights = jnp.array(shares, jnp.int32)[None, None]
-        weights = jnp.where(fits & kinds[:, None, None], weights, 0)
-        running = jnp.cumsum(weights.reshape(-1), dtype=jnp.int32)
-        number = jnp.sum(
-            running <= placement.uniform_int(draws[0], 0, running[-1]), dtype=jnp.int32
+        weights = jnp.where(
+            fits & kinds[:, None, None], jnp.array(shares, jnp.int32)[None, None], 0
         )
-        kind, color = number // (len(_COLORS) * _LOCATIONS), number // _LOCATIONS % len(_COLORS)
+        # One part after the other: a running sum over all of the table would be slow.
+        by_color = jnp.sum(weights, axis=2, dtype=jnp.int32)
+        by_kind = jnp.sum(by_color, axis=1, dtype=jnp.int32)
+        total = jnp.sum(by_kind, dtype=jnp.int32)
+        rank = placement.uniform_int(draws[0], 0, total)
+        kind, rank = placement.choose_ranked(rank, by_kind)
+        color, rank = placement.choose_ranked(rank, by_color[kind])
+        location, _ = placement.choose_ranked(rank, weights[kind, color])
         what = describe(
             jnp.array(_KINDS, jnp.int32)[kind],
             jnp.array(_COLORS, jnp.int32)[color],
-            number % _LOCATIONS,
+            location,
         )
         every = jnp.sum(kinds, dtype=jnp.int32) * (len(_COLORS) * sum(shares))
-        hopeless = 1 - running[-1].astype(jnp.float32) / every.astype(jnp.float32)
+        hopeless = 1 - total.astype(jnp.float32) / every.astype(jnp.float32)
         return what, draws[1] >= hopeless**_TRIES
 
     def _sentence(

@@ -54,7 +54,7 @@ class PutNextLocalSampler(LevelSampler):
         layout, placed = self.grid.add_distractors(layout, objects, (0, 0))
         first, second, *_ = ranks(choice)
         sentence = clause(PUT_NEXT, like(placed.codes[first]), like(placed.codes[second]))
-        possible = put_next_is_possible(*matches(self.grid, layout, sentence), sentence)
+        possible = put_next_is_possible(self.grid, layout, sentence, placed.codes, placed.cells)
         reachable = placement.objects_reachable(layout.plane, layout.agent)
         return layout._replace(valid=layout.valid & reachable & possible), sentence
 

@@ -1,0 +1,78 @@
+"""Spaces and their values as Gymnasium has them: NumPy arrays, and int64 for what is discrete."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from jaxact import spaces
+from jaxact.errors import JaxactError
+from jaxact.pomdp import PyTree
+
+
+def to_space(space: spaces.Space, flatten: bool = False) -> gymnasium.Space[Any]:
+    """Returns Gymnasium's space of the same values; with `flatten` all its boxes are vectors.
+
+    Raises:
+      JaxactError: Gymnasium has none.
+    """
+    match space:
+        case spaces.Discrete(n):
+            return gymnasium.spaces.Discrete(n)
+        case spaces.Box(low, high, shape, name):
+            dtype: Any = np.dtype(name)
+            if np.issubdtype(dtype, np.integer):
+                low, high = int(low), int(high)
+            shape = (math.prod(shape),) if flatten else shape
+            return gymnasium.spaces.Box(low, high, shape, dtype.type)
+        case spaces.Tuple(parts):
+            return gymnasium.spaces.Tuple([to_space(part, flatten) for part in parts])
+        case spaces.Dict(named):
+            return gymnasium.spaces.Dict({n: to_space(part, flatten) for n, part in named.items()})
+    raise JaxactError(f"Gymnasium has no space like {space}")
+
+
+def to_numpy(space: spaces.Space, value: PyTree, flatten: bool) -> Any:
+    """Returns a value of `space`, or a batch of them, as Gymnasium has it."""
+    match space:
+        case spaces.Discrete():
+            return np.array(value, np.int64)[()]
+        case spaces.Box(shape=shape):
+            array = np.array(value)
+            lead = array.shape[: array.ndim - len(shape)]
+            return array.reshape(*lead, math.prod(shape)) if flatten else array
+        case spaces.Tuple(parts):
+            return tuple(to_numpy(part, x, flatten) for part, x in zip(parts, value, strict=True))
+        case spaces.Dict(named):
+            return {name: to_numpy(part, value[name], flatten) for name, part in named.items()}
+    raise JaxactError(f"Gymnasium has no space like {space}")
+
+
+def to_jax(space: spaces.Space, value: Any, lead: tuple[int, ...]) -> PyTree:
+    """Returns an action, or a batch of shape `lead`, as the world takes it.
+
+    Raises:
+      JaxactError: it is none.
+    """
+    match space:
+        case spaces.Discrete(n):
+            array = np.asarray(value)
+            whole = np.issubdtype(array.dtype, np.integer) and array.shape == lead
+            if not whole or np.any((array < 0) | (array >= n)):
+                raise JaxactError(f"expected an action of 0 to {n - 1} with shape {lead}: {value}")
+            return array.astype(np.int32)
+        case spaces.Box(shape=shape, dtype=dtype):
+            array = np.asarray(value, dtype)
+            if array.shape != lead + shape:
+                raise JaxactError(
+                    f"expected an action of shape {lead + shape}, but got {array.shape}"
+                )
+            return array
+        case spaces.Tuple(parts):
+            return tuple(to_jax(part, x, lead) for part, x in zip(parts, value, strict=True))
+        case spaces.Dict(named):
+            return {name: to_jax(part, value[name], lead) for name, part in named.items()}
+    raise JaxactError(f"Gymnasium has no space like {space}")

@@ -1,0 +1,8 @@
+"""Task samplers that combine and steer others."""
+
+from jaxact.samplers.fixed_seeds import FixedSeeds as FixedSeeds
+from jaxact.samplers.ladder import LadderSampler as LadderSampler
+from jaxact.samplers.level_replay import PrioritizedLevelReplay as PrioritizedLevelReplay
+from jaxact.samplers.mixture import MixtureSampler as MixtureSampler
+
+__all__ = ["FixedSeeds", "LadderSampler", "MixtureSampler", "PrioritizedLevelReplay"]
