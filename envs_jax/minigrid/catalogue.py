@@ -11,15 +11,10 @@ from envs_jax.minigrid.environment import GridWorld
 from envs_jax.minigrid.late_hands import LateHandsWorld
 from envs_jax.minigrid.missions import GO_TO_LENGTH, MISSION_LENGTH
 from envs_jax.minigrid.obstacles import ObstacleTask, ObstacleWorld
-from envs_jax.minigrid.rules import ErrandTask, RuleTask
-from envs_jax.minigrid.samplers.babyai.doors import OpenDoorSampler, OpenRedDoorSampler
+from envs_jax.minigrid.rules import RuleTask
 from envs_jax.minigrid.samplers.babyai.level import LevelSampler
-from envs_jax.minigrid.samplers.babyai.mazes import MazeSampler
 from envs_jax.minigrid.samplers.babyai.one_room import GoToSampler
-from envs_jax.minigrid.samplers.babyai.pickup import PickupDistSampler
 from envs_jax.minigrid.samplers.babyai.put_next import PutNextSampler
-from envs_jax.minigrid.samplers.babyai.unlock import UnlockLocalSampler, UnlockPickupSampler
-from envs_jax.minigrid.samplers.babyai.unlock import UnlockSampler as UnlockLevelSampler
 from envs_jax.minigrid.samplers.crossing import CrossingSampler
 from envs_jax.minigrid.samplers.dist_shift import DistShiftSampler
 from envs_jax.minigrid.samplers.door_key import DoorKeySampler
@@ -39,12 +34,7 @@ from envs_jax.minigrid.samplers.red_blue_doors import RedBlueDoorsSampler
 from envs_jax.minigrid.samplers.unlock import UnlockSampler
 from envs_jax.minigrid.samplers.wfc import LOOKS, SIZE, WFCSampler
 from envs_jax.minigrid.sensors import VIEW_SIZE, DirectionSensor, MissionSensor
-from envs_jax.minigrid.tasks import (
-    DemonstratedInstructionTask,
-    GoalTask,
-    GoToTask,
-    InstructionTask,
-)
+from envs_jax.minigrid.tasks import GoalTask, GoToTask, InstructionTask
 from envs_jax.minigrid.views import TILE_SIZE, image_sensor
 from envs_jax.registry import register
 from jaxact.pomdp import POMDP, Environment, Task, TaskSampler
@@ -180,8 +170,6 @@ _OBSTRUCTED_MAZES: dict[str, tuple[int, int, tuple[int, int], bool, bool]] = {
 }
 # Those of which there is a version 1, in which keys are never lost.
 _OBSTRUCTED_MAZES_V1 = ("2Dlhb", "1Q", "2Q", "Full")
-# Those that the expert of errands is known to solve.
-_DEMONSTRATED_MAZES = ("1Dl", "1Dlh", "1Dlhb")
 
 
 def _goal_worlds() -> dict[str, _World]:
@@ -220,18 +208,18 @@ def _rule_worlds() -> dict[str, _World]:
     worlds["Playground-v0"] = _World(PlaygroundSampler(100), 19, 19, RuleTask)
     for name, (errand, size, objects, max_steps) in _ERRANDS.items():
         sampler = ObjectsSampler(size, objects, max_steps, errand)
-        worlds[name] = _World(sampler, size, size, ErrandTask, see_through_walls=True)
+        worlds[name] = _World(sampler, size, size, RuleTask, see_through_walls=True)
     for size in (5, 6, 8):
         doors = GoToDoorSampler(size, 4 * size**2)
         name = f"GoToDoor-{size}x{size}-v0"
-        worlds[name] = _World(doors, size, size, ErrandTask, see_through_walls=True)
+        worlds[name] = _World(doors, size, size, RuleTask, see_through_walls=True)
     for size in (6, 8):
         in_turn = RedBlueDoorsSampler(size, 20 * size**2)
-        worlds[f"RedBlueDoors-{size}x{size}-v0"] = _World(in_turn, 2 * size, size, ErrandTask)
+        worlds[f"RedBlueDoors-{size}x{size}-v0"] = _World(in_turn, 2 * size, size, RuleTask)
     for size, name in ((7, ""), (9, ""), (11, ""), (13, ""), (13, "Random"), (17, "Random")):
         memory = MemorySampler(size, 5 * size**2, name == "Random")
         hands_free = GridWorld(size, size, pickup_toggles=True)
-        worlds[f"MemoryS{size}{name}-v0"] = _World(memory, size, size, ErrandTask, hands_free)
+        worlds[f"MemoryS{size}{name}-v0"] = _World(memory, size, size, RuleTask, hands_free)
     return worlds
 
 
@@ -250,7 +238,7 @@ def _obstacle_worlds() -> dict[str, _World]:
 
 def _room_grid_worlds() -> dict[str, _World]:
     """Returns the worlds with a grid of rooms in which there is no goal square, by name."""
-    worlds = {name: _World(sampler, 11, 6, ErrandTask) for name, sampler in _UNLOCKS.items()}
+    worlds = {name: _World(sampler, 11, 6, RuleTask) for name, sampler in _UNLOCKS.items()}
     for size, rows in _KEY_CORRIDORS:
         corridor = KeyCorridorSampler(size, rows, 30 * size**2)
         extent = corridor.grid.width, corridor.grid.height
@@ -259,8 +247,7 @@ def _room_grid_worlds() -> dict[str, _World]:
         for version in (0, 1) if name in _OBSTRUCTED_MAZES_V1 else (0,):
             maze = ObstructedMazeSampler(*options, keys_last=version == 1)
             extent = maze.grid.width, maze.grid.height
-            task = ErrandTask if name in _DEMONSTRATED_MAZES else RuleTask
-            worlds[f"ObstructedMaze-{name}-v{version}"] = _World(maze, *extent, task)
+            worlds[f"ObstructedMaze-{name}-v{version}"] = _World(maze, *extent, RuleTask)
     return worlds
 
 
@@ -277,27 +264,13 @@ def _one_room_world(sampler: GoToSampler) -> _World:
     return _World(sampler, size, size, GoToTask, mission_length=GO_TO_LENGTH)
 
 
-# Levels with instructions that the expert of errands is known to solve.
-_DEMONSTRATED_LEVELS = (
-    MazeSampler,
-    OpenDoorSampler,
-    OpenRedDoorSampler,
-    PickupDistSampler,
-    UnlockLevelSampler,
-    UnlockLocalSampler,
-    UnlockPickupSampler,
-)
-
-
 def _level_world(sampler: LevelSampler) -> _World:
     extent = sampler.grid.width, sampler.grid.height
     late_hands = isinstance(sampler, PutNextSampler) and sampler.start_carrying
-    is_demonstrated = isinstance(sampler, _DEMONSTRATED_LEVELS)
-    general = DemonstratedInstructionTask if is_demonstrated else InstructionTask
     return _World(
         sampler,
         *extent,
-        task=GoToTask if sampler.is_go_to else partial(general, beliefs=sampler.beliefs),
+        task=GoToTask if sampler.is_go_to else partial(InstructionTask, beliefs=sampler.beliefs),
         environment=LateHandsWorld(*extent) if late_hands else None,
         mission_length=sampler.mission_length,
     )

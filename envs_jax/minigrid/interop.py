@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -148,8 +148,7 @@ def _import_task(
     """Returns the task and its state."""
     size = (int(env.width), int(env.height))
     if isinstance(about, ImportedRule):
-        task = own.task if own is not None and isinstance(own.task, RuleTask) else RuleTask(*size)
-        return replace(task, width=size[0], height=size[1]), about.state(env, mission)
+        return RuleTask(*size), about.state(env, mission)
     if isinstance(about, ImportedInstruction):
         task = about.task(size, None if own is None else own.task)
         return task, about.state(task, mission)

@@ -99,20 +99,18 @@ class RuleTask(Task):
             metrics={},
         )
 
+    def expert(self, key: jax.Array, task_state: RuleState, state: GridState) -> ExpertAction:
+        """Returns the next action towards what the rule asks for; see `errand_expert`.
+
+        With the rule `PLAY` the advice is never valid.
+        """
+        del key
+        return errand_expert(_subgoal(task_state, state), state, self.height)
+
     def _opened(self, cells: jax.Array, state: GridState) -> jax.Array:
         """Returns bool[2], whether open doors stand in `cells`."""
         found = [at_index(state.tiles, cell_index(cell, self.height)) for cell in cells]
         return is_kind(jnp.stack(found), OPEN_DOORS)
-
-
-@dataclass(frozen=True)
-class ErrandTask(RuleTask):
-    """A `RuleTask` of a world that the expert of errands is known to solve."""
-
-    def expert(self, key: jax.Array, task_state: RuleState, state: GridState) -> ExpertAction:
-        """Returns the next action towards what the rule asks for; see `errand_expert`."""
-        del key
-        return errand_expert(_subgoal(task_state, state), state, self.height)
 
 
 def _judge(

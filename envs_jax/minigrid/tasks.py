@@ -143,19 +143,6 @@ class InstructionTask(Task):
             metrics={},
         )
 
-    def _read(self, task_state: InstructionState) -> tuple[Program, Progress]:
-        assert task_state.program is not None
-        assert task_state.progress is not None
-        return Program.unpack(task_state.program), Progress.unpack(task_state.progress)
-
-    def _write(self, task_state: InstructionState, progress: Progress) -> InstructionState:
-        return replace(task_state, progress=progress.pack())
-
-
-@dataclass(frozen=True)
-class DemonstratedInstructionTask(InstructionTask):
-    """An `InstructionTask` of a level that the expert of errands is known to solve."""
-
     def expert(
         self, key: jax.Array, task_state: InstructionState, state: GridState
     ) -> ExpertAction:
@@ -163,6 +150,14 @@ class DemonstratedInstructionTask(InstructionTask):
         del key
         subgoal = instruction_subgoal(*self._read(task_state), task_state.ghosts, state)
         return errand_expert(subgoal, state, self.height)
+
+    def _read(self, task_state: InstructionState) -> tuple[Program, Progress]:
+        assert task_state.program is not None
+        assert task_state.progress is not None
+        return Program.unpack(task_state.program), Progress.unpack(task_state.progress)
+
+    def _write(self, task_state: InstructionState, progress: Progress) -> InstructionState:
+        return replace(task_state, progress=progress.pack())
 
 
 @dataclass(frozen=True)
