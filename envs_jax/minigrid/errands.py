@@ -50,7 +50,7 @@ class _Map:
 
     Attributes:
       walkable: cells to step on.
-      closed: doors that may be opened without a key.
+      closed: doors that may be opened without a key, and boxes that may be opened to get past.
       fitting: locked doors that the key in hand opens.
       locks: other locked doors of which there is a key somewhere.
       loose: objects that may be taken away.
@@ -140,6 +140,7 @@ def _survey(subgoal: Subgoal, state: GridState) -> _Map:
     nothing = jnp.zeros_like(subgoal.cells)
     walkable = planner.pack(is_kind(cells, _WALKABLE)) & ~subgoal.forbidden
     closed = jnp.where(subgoal.may_open, planner.pack(kinds == tiles.CLOSED_DOOR), nothing)
+    closed |= subgoal.fragile
     fitting = jnp.where(subgoal.may_open, planner.pack(fits), nothing)
     locks = planner.pack(locked & ~fits & _has_key(colors, state))
     here = cell_board(state.position, subgoal.cells)
@@ -205,7 +206,15 @@ def _within_reach(subgoal: Subgoal, world: _Map, state: GridState, height: int) 
         )
         return before, depth + 1
 
-    first = _Step(subgoal.cells, subgoal.action, jnp.bool_(False), world.locks)
+    # With the way cleared only once it is needed, what was picked up would be put down for it and
+    # then picked up again, for ever.
+    is_cut_off = _any(subgoal.destination) & ~_any(subgoal.destination & world.near)
+    first = _Step(
+        cells=jnp.where(is_cut_off, subgoal.destination, subgoal.cells),
+        action=jnp.where(is_cut_off, DROP, subgoal.action),
+        is_for_key=jnp.bool_(False),
+        locks=world.locks,
+    )
     step, _ = lax.while_loop(is_stuck, go_back, (first, jnp.int32(0)))
     return step._replace(cells=jnp.where(_any(step.cells), _ready(step, world), nothing))
 

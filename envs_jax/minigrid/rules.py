@@ -24,6 +24,7 @@ from envs_jax.minigrid.environment import (
     is_kind,
 )
 from envs_jax.minigrid.errands import errand_expert
+from envs_jax.minigrid.planner import Board
 from envs_jax.minigrid.regions import around, beside, cell_board
 from envs_jax.minigrid.state import TRACKED_MASK, GridState
 from envs_jax.minigrid.subgoals import Subgoal, inner
@@ -160,7 +161,7 @@ def _subgoal(task_state: RuleState, state: GridState) -> Subgoal:
     no, yes = jnp.bool_(False), jnp.bool_(True)
     nothing = jnp.zeros_like(empty)
     # For each rule: the cells, what to do there, and whether objects may be moved, doors opened.
-    wishes = {
+    wishes: dict[int, tuple[Board, jax.Array | int, jax.Array, jax.Array]] = {
         PICK_UP: (planner.pack(marks & TRACKED_MASK != 0), PICKUP, yes, yes),
         OPEN: (first, TOGGLE, yes, yes),
         FETCH: (targets, PICKUP, no, yes),

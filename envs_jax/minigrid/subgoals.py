@@ -30,6 +30,9 @@ class Subgoal:
       stands: bool scalar.
       forbidden: cells not to step on.
       reserved: cells in which nothing should be put down on the way.
+      destination: cells of which one is to be faced afterwards, with in hand what is picked up;
+        none where that is all.
+      fragile: boxes to be got past by opening them, which destroys them.
       may_move: bool scalar, whether objects may be taken out of the way.
       may_open: bool scalar, whether doors other than `cells` may be opened.
     """
@@ -39,6 +42,8 @@ class Subgoal:
     stands: jax.Array
     forbidden: Board
     reserved: Board
+    destination: Board
+    fragile: Board
     may_move: jax.Array
     may_open: jax.Array
 
@@ -51,6 +56,8 @@ class Subgoal:
         stands: jax.Array | bool = False,
         forbidden: Board | None = None,
         reserved: Board | None = None,
+        destination: Board | None = None,
+        fragile: Board | None = None,
         may_move: jax.Array | bool = True,
         may_open: jax.Array | bool = True,
     ) -> Subgoal:
@@ -62,6 +69,8 @@ class Subgoal:
             stands=jnp.asarray(stands, jnp.bool_),
             forbidden=nothing if forbidden is None else forbidden,
             reserved=nothing if reserved is None else reserved,
+            destination=nothing if destination is None else destination,
+            fragile=nothing if fragile is None else fragile,
             may_move=jnp.asarray(may_move, jnp.bool_),
             may_open=jnp.asarray(may_open, jnp.bool_),
         )
@@ -99,6 +108,7 @@ def instruction_subgoal(
     believed = places ^ _ghosts_of(ghosts, number).astype(places.dtype)
     empty, loose = planner.pack(cells == tiles.EMPTY_TILE), planner.pack(is_kind(cells, PORTABLE))
     shut = things & planner.pack(is_kind(cells, _SHUT_DOORS))
+    boxes = planner.pack(cells & tiles.TYPE_MASK == tiles.BOX)
 
     holds = state.carrying_mark.astype(jnp.uint32) >> (number + MAX_CLAUSES) & 1 != 0
     edge = beside(places)
@@ -120,6 +130,8 @@ def instruction_subgoal(
             jnp.int32(DONE),
         ),
         reserved=jnp.where(is_put_next, edge, jnp.zeros_like(edge)),
+        destination=jnp.where(is_put_next & ~holds, edge & empty, jnp.zeros_like(edge)),
+        fragile=jnp.where(is_strict & is_pick_up, boxes & ~things, jnp.zeros_like(boxes)),
         may_move=~(is_strict & is_pick_up),
         may_open=~(is_strict & is_open),
     )
