@@ -19,6 +19,7 @@ from jax import lax
 
 from envs_jax.minigrid import planner, tiles
 from envs_jax.minigrid.environment import (
+    DOORS,
     DROP,
     FORWARD,
     LEFT,
@@ -55,6 +56,7 @@ class _Map:
       locks: other locked doors of which there is a key somewhere.
       loose: objects that may be taken away.
       empty: cells in which something can be put down.
+      doors: doors, whatever their state.
       near: cells that can be acted on without opening a lock.
       far: cells that can be acted on, if need be with the key in hand.
     """
@@ -65,6 +67,7 @@ class _Map:
     locks: Board
     loose: Board
     empty: Board
+    doors: Board
     near: Board
     far: Board
 
@@ -153,6 +156,7 @@ def _survey(subgoal: Subgoal, state: GridState) -> _Map:
         locks=locks,
         loose=jnp.where(subgoal.may_move, planner.pack(is_kind(cells, PORTABLE)), nothing),
         empty=planner.pack(cells == tiles.EMPTY_TILE),
+        doors=planner.pack(is_kind(cells, DOORS)),
         near=near | beside(near),
         far=far | beside(far),
     )
@@ -244,8 +248,13 @@ def _drop_cells(subgoal: Subgoal, cells: Board, world: _Map) -> Board:
     """Returns the best cells there are to put down what is held."""
     free = world.empty & world.near & ~subgoal.forbidden
     harmless = free & dispensable(world.passable | world.locks)
-    aside = harmless & ~(around(cells | subgoal.cells) | subgoal.reserved)
-    return jnp.where(_any(aside), aside, jnp.where(_any(harmless), harmless, free))
+    off_the_way = ~(around(cells | subgoal.cells) | subgoal.reserved)
+    # In a crowded room no cell may be harmless, but before its doors is the worst place.
+    inside = free & off_the_way & ~beside(world.doors)
+    best = free
+    for choice in (inside, harmless, harmless & off_the_way):
+        best = jnp.where(_any(choice), choice, best)
+    return best
 
 
 def _any(board: Board) -> jax.Array:

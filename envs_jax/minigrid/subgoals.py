@@ -112,7 +112,7 @@ def instruction_subgoal(
 
     holds = state.carrying_mark.astype(jnp.uint32) >> (number + MAX_CLAUSES) & 1 != 0
     edge = beside(places)
-    is_crowded = jnp.all(edge & empty == 0)
+    is_crowded = jnp.any(places != 0) & jnp.all(edge & empty == 0)
     # Walls are among the things when a description names no more than their colour.
     movable = things & loose
     put_cells = jnp.where(is_crowded, edge & loose, jnp.where(holds, edge & empty, movable))

@@ -187,14 +187,3 @@ def test_paths_are_shortest_in_every_world(name: str) -> None:
         equal, compared = check_optimal(name, 400, wandering, seed=1)
         assert compared >= 30
         assert equal >= 0.999 * compared
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", OPTIMAL_IDS)
-def test_solves_every_world_within_its_horizon(name: str) -> None:
-    pomdp = envs_jax.make(name)
-    runner = Runner(pomdp)
-    keys = jax.random.split(jax.random.key(2), 2000)
-    state = runner.reset(keys)
-    steps, valid = runner.follow(keys, state, int(state.horizon[0]) + 1)
-    assert np.mean(np.asarray((steps <= state.horizon) & valid)) >= 0.999

@@ -1,9 +1,9 @@
-"""The expert of errands: how often it gets them done in time, and how straight it goes."""
+"""Experts within the horizon: how often they succeed, in every world that can be solved."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,11 +13,17 @@ from grid_search import DONE, FORWARD, LEFT, RIGHT, Model, model_of
 
 import envs_jax
 from envs_jax.minigrid import tiles
-from envs_jax.minigrid.obstacles import ObstacleTask
-from envs_jax.minigrid.rules import ErrandTask
 from envs_jax.minigrid.state import PADDING
-from envs_jax.minigrid.tasks import DemonstratedInstructionTask
 from jaxact.pomdp import POMDP, State
+
+
+class Record(NamedTuple):
+    """How episodes went, an entry each: whether with success, after how many steps, and whether the
+    expert abstained, which ends them here."""
+
+    won: np.ndarray
+    steps: np.ndarray
+    abstained: np.ndarray
 
 
 def reset(pomdp: POMDP, lanes: int) -> tuple[jax.Array, State]:
@@ -26,51 +32,39 @@ def reset(pomdp: POMDP, lanes: int) -> tuple[jax.Array, State]:
     return keys, jax.jit(jax.vmap(lambda key: pomdp.reset(key)[0]))(keys)
 
 
-def follow(pomdp: POMDP, keys: jax.Array, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """Follows the expert to the end of each episode.
-
-    Returns bool[N], whether it ended with success, and int32[N], after how many steps.
-    """
+def follow(pomdp: POMDP, keys: jax.Array, state: State) -> Record:
+    """Follows the expert to the end of each episode."""
     step, advise = jax.vmap(pomdp.step), jax.vmap(pomdp.expert)
 
     def once(carry: Any) -> Any:
-        state, over, won, steps, t = carry
+        state, over, won, abstained, steps, t = carry
         drawn = jax.vmap(lambda key: jax.random.fold_in(key, t))(keys)
-        state, result = step(drawn, state, advise(drawn, state).action)
-        won = won | (~over & result.success)
+        advice = advise(drawn, state)
+        abstained |= ~over & ~advice.valid
+        over |= abstained
+        state, result = step(drawn, state, advice.action)
+        won |= ~over & result.success
         steps = jnp.where(over, steps, steps + 1)
-        return state, over | result.terminated | result.truncated, won, steps, t + 1
+        return state, over | result.terminated | result.truncated, won, abstained, steps, t + 1
 
     no = jnp.zeros(len(keys), bool)
-    begin = (state, no, no, jnp.zeros(len(keys), jnp.int32), jnp.int32(0))
+    begin = (state, no, no, no, jnp.zeros(len(keys), jnp.int32), jnp.int32(0))
     run = jax.jit(lambda begin: jax.lax.while_loop(lambda c: ~jnp.all(c[1]), once, begin))
-    _, _, won, steps, _ = run(begin)
-    return np.asarray(won), np.asarray(steps)
+    _, _, won, abstained, steps, _ = run(begin)
+    return Record(*map(np.asarray, (won, steps, abstained)))
 
 
 def without_sensors(name: str) -> POMDP:
     return replace(envs_jax.make(name), sensors={})
 
 
-SAMPLE = [
-    "BabyAI-PickupDist-v0",
-    "BabyAI-UnlockPickupDist-v0",
-    "MiniGrid-BlockedUnlockPickup-v0",
-    "MiniGrid-Dynamic-Obstacles-6x6-v0",
-    "MiniGrid-MemoryS7-v0",
-    "MiniGrid-ObstructedMaze-1Dlhb-v0",
-    "MiniGrid-PutNear-6x6-N2-v0",
-    "MiniGrid-RedBlueDoors-6x6-v0",
-]
-
-
-@pytest.mark.parametrize("name", SAMPLE)
-def test_solves_errands(name: str) -> None:
-    pomdp = without_sensors(name)
+def test_solves_errands() -> None:
+    """A ball is taken out of the way, a key fetched, a door unlocked, a box picked up."""
+    pomdp = without_sensors("MiniGrid-BlockedUnlockPickup-v0")
     keys, state = reset(pomdp, 32)
     with jax.numpy_dtype_promotion("strict"):
-        won, _ = follow(pomdp, keys, state)
-    assert np.all(won)
+        record = follow(pomdp, keys, state)
+    assert np.all(record.won)
 
 
 def things_of(pomdp: POMDP, lane: State) -> Model:
@@ -83,11 +77,11 @@ def things_of(pomdp: POMDP, lane: State) -> Model:
     return model
 
 
-@pytest.mark.parametrize("name", ["BabyAI-PickupDist-v0"])
-def test_picks_up_what_can_be_reached_by_the_shortest_way(name: str) -> None:
-    pomdp = without_sensors(name)
+@pytest.mark.slow
+def test_picks_up_what_can_be_reached_by_the_shortest_way() -> None:
+    pomdp = without_sensors("BabyAI-PickupDist-v0")
     keys, state = reset(pomdp, 64)
-    _, steps = follow(pomdp, keys, state)
+    record = follow(pomdp, keys, state)
     compared = 0
     for lane in range(64):
         model = things_of(pomdp, jax.tree.map(lambda leaf, i=lane: np.asarray(leaf[i]), state))
@@ -96,36 +90,41 @@ def test_picks_up_what_can_be_reached_by_the_shortest_way(name: str) -> None:
         if best is not None:
             compared += 1
             faces_one = model.front(model.start) in model.targets
-            assert steps[lane] == (1 if faces_one else best + 1)
+            assert record.steps[lane] == (1 if faces_one else best + 1)
     assert compared >= 50
 
 
-def test_worlds_beyond_the_expert_do_not_offer_one() -> None:
-    for name in ("MiniGrid-Playground-v0", "MiniGrid-KeyCorridorS3R1-v0", "BabyAI-BossLevel-v0"):
-        assert not envs_jax.make(name).has_expert
+@pytest.mark.slow
+def test_abstains_where_there_is_nothing_to_do() -> None:
+    pomdp = without_sensors("MiniGrid-Playground-v0")
+    assert np.all(follow(pomdp, *reset(pomdp, 4)).abstained)
 
 
-EXPERTS = (ErrandTask, DemonstratedInstructionTask, ObstacleTask)
-ERRANDS = [
-    name
-    for name in envs_jax.ids()
-    if name.startswith(("MiniGrid-", "BabyAI-"))
-    and isinstance(
-        envs_jax.make(name).task, ErrandTask | DemonstratedInstructionTask | ObstacleTask
-    )
-]
-# Least success rates where some levels cannot be solved, all of them as in the package: a key
-# behind its own door; a strict target behind other objects.
-UNSOLVABLE = {
-    "BabyAI-Unlock-v0": 0.95,
-    "BabyAI-GoToImpUnlock-v0": 0.94,
-    "BabyAI-PickupDistDebug-v0": 0.96,
+# Shares of levels that cannot be solved, all of them as in the package: the key is behind its own
+# door, or was replaced by a ball; a strict target is walled in; of two strict doors, the toggle
+# that opens the first fails the second.
+HOPELESS = {
+    "BabyAI-GoToImpUnlock-v0": 0.05,
+    "BabyAI-OpenDoorsOrderN2Debug-v0": 2 / 3,
+    "BabyAI-OpenDoorsOrderN4Debug-v0": 2 / 3,
+    "BabyAI-PickupDistDebug-v0": 0.005,
+    "BabyAI-Unlock-v0": 0.011,
+    "MiniGrid-ObstructedMaze-1Q-v0": 0.08,
+    "MiniGrid-ObstructedMaze-2Dlhb-v0": 0.08,
+    "MiniGrid-ObstructedMaze-2Q-v0": 0.15,
+    "MiniGrid-ObstructedMaze-Full-v0": 0.29,
 }
+EPISODES = 2000
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ERRANDS)
-def test_solves_all_errands(name: str) -> None:
+@pytest.mark.parametrize("name", [name for name in envs_jax.ids() if "Playground" not in name])
+def test_solves_every_world_within_its_horizon(name: str) -> None:
     pomdp = without_sensors(name)
-    won, _ = follow(pomdp, *reset(pomdp, 1000))
-    assert np.mean(won) >= UNSOLVABLE.get(name, 0.999)
+    record = follow(pomdp, *reset(pomdp, EPISODES))
+    hopeless = HOPELESS.get(name, 0.0)
+    deviation = np.sqrt(hopeless * (1 - hopeless) / EPISODES)
+    assert np.mean(~record.won) <= hopeless + 3 * deviation + 0.001
+    # Of two strict doors the first can be opened, so there it does not abstain.
+    if not name.startswith("BabyAI-OpenDoorsOrder"):
+        assert np.mean(record.won | record.abstained) >= 0.999
