@@ -76,6 +76,49 @@ def play(
     return record_steps(env, lambda _: draw())
 
 
+def play_as_expert(envs: Iterable[Any], rng: np.random.Generator, size: int) -> list[Recording]:
+    """Records the end of an episode of each environment, led there by our expert.
+
+    What the expert does from the beginning is computed here, for all of them in few programs (see
+    `embedded`). All but the last steps before its success are taken first and not recorded.
+    """
+    groups: dict[Any, list[tuple[Any, State]]] = defaultdict(list)
+    for env in envs:
+        pomdp, state = interop.from_minigrid(env)
+        none = np.zeros((STEPS, 0, 2), np.int32)
+        whole = Recording(pomdp, state, np.zeros(STEPS), {}, {}, [], none)
+        large = embedded(whole, size)
+        plan = replace(large.pomdp, sampler=None, sensors={})
+        shapes = tuple(np.shape(leaf) for leaf in jax.tree.leaves(large.state))
+        groups[plan, shapes].append((env, large.state))
+    recordings = []
+    for (pomdp, _), group in groups.items():
+        states = jax.tree.map(lambda *leaves: np.stack(leaves), *[state for _, state in group])
+        actions, finished = jax.device_get(_follow_expert(pomdp, states))
+        for (env, _), plan, ends in zip(group, actions, finished, strict=True):
+            end = int(np.argmax(ends)) if ends.any() else len(plan) - 1
+            begin = max(0, min(end + int(rng.integers(2, STEPS)), len(plan)) - STEPS)
+            for action in plan[:begin]:
+                env.step(int(action) if stays_inside(env, action) else 6)
+            rest = iter(plan[begin:].tolist())
+            recordings.append(record_steps(env, lambda _, rest=rest: next(rest)))
+    return recordings
+
+
+@partial(jax.jit, static_argnums=0)
+def _follow_expert(pomdp: POMDP, states: State) -> tuple[jax.Array, jax.Array]:
+    """Returns what the expert does and whether the episode is over, [lanes, 5 * STEPS]."""
+
+    def act(states: State, key: jax.Array) -> tuple[State, tuple[jax.Array, jax.Array]]:
+        keys = jax.random.split(key, states.steps.shape[0])
+        advice = jax.vmap(pomdp.expert)(keys, states)
+        states, step = jax.vmap(pomdp.step)(keys, states, advice.action)
+        return states, (advice.action, step.finished)
+
+    _, played = jax.lax.scan(act, states, jax.random.split(jax.random.key(0), 5 * STEPS))
+    return jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1), played)
+
+
 def record_steps(env: Any, choose: Callable[[Any], int]) -> Recording:
     """Records what the package does on the actions chosen, whether or not the episode ends.
 

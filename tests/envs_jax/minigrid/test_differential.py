@@ -7,7 +7,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-from minigrid_reference import PACKAGE_IDS, compare, play, python_env
+from minigrid_reference import PACKAGE_IDS, compare, play, play_as_expert, python_env
 
 import envs_jax
 from envs_jax.minigrid import interop, rules
@@ -56,6 +56,20 @@ def test_all_worlds_agree_over_many_steps():
     assert compared >= 10_000 * len(PACKAGE_IDS)
     assert kept == set(range(8))
     assert broken >= {rules.FETCH, rules.GO_NEXT_TO, rules.PUT_NEAR, rules.MATCH}
+
+
+@pytest.mark.slow
+def test_all_worlds_agree_where_the_expert_goes():
+    rng = np.random.default_rng(4)
+    envs = []
+    for name in PACKAGE_IDS:
+        for _ in range(24):
+            envs.append(python_env(name))
+            envs[-1].reset(seed=int(rng.integers(2**31)))
+    recordings = play_as_expert(envs, rng, size=25)
+    assert compare(recordings, size=25) == 24 * 48 * len(PACKAGE_IDS)
+    won = [(recording.answers["reward"] > 0).any() for recording in recordings]
+    assert np.mean(won) >= 0.8
 
 
 @pytest.mark.parametrize("view_size", [3, 5])
