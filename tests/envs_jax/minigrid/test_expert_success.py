@@ -109,10 +109,9 @@ HOPELESS = {
     "BabyAI-OpenDoorsOrderN4Debug-v0": 2 / 3,
     "BabyAI-PickupDistDebug-v0": 0.005,
     "BabyAI-Unlock-v0": 0.011,
-    "MiniGrid-ObstructedMaze-1Q-v0": 0.08,
-    "MiniGrid-ObstructedMaze-2Dlhb-v0": 0.08,
-    "MiniGrid-ObstructedMaze-2Q-v0": 0.15,
-    "MiniGrid-ObstructedMaze-Full-v0": 0.29,
+    "MiniGrid-ObstructedMaze-1Q-v0": 0.064,
+    "MiniGrid-ObstructedMaze-2Dlhb-v0": 0.064,
+    "MiniGrid-ObstructedMaze-2Q-v0": 0.026,
 }
 EPISODES = 2000
 
