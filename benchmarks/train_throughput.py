@@ -83,7 +83,7 @@ def _measure(arguments: Arguments, peak: float) -> dict[str, Any]:
     numbers, state = program.numbers(), program.start(make_key(0))
     count = np.int32(arguments.updates)
     began = time.perf_counter()
-    stage = program.stage(0, arguments.updates).lower(state, numbers, count).compile()
+    stage = program.compile_stage(0, arguments.updates)
     compile_seconds = time.perf_counter() - began
 
     state, _ = stage(state, numbers, count)

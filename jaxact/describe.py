@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import jax
-import numpy as np
 
 from jaxact.experiment import Experiment
 from jaxact.overrides import leaves, to_json
@@ -26,7 +25,7 @@ def describe(experiment: Experiment, devices: int | None = None) -> str:
       Text for a terminal. FLOPs and memory are XLA's own estimates for the compiled programs.
     """
     program = Program(experiment, choose_devices(devices))
-    state = program.like(make_key(0))
+    state = program.like()
     pomdp, pipeline = experiment.pomdp, experiment.pipeline
     lines = [f"experiment {experiment.name}", "", "parts"]
     for part in ("environment", "task", "sampler"):
@@ -41,9 +40,8 @@ def describe(experiment: Experiment, devices: int | None = None) -> str:
         lines.append(f"  {name:48} {leaf.dtype}{list(leaf.shape)}")
     lines.append(f"  {sum(math.prod(x.shape) for x in jax.tree.leaves(state.params)):,} in all")
 
-    numbers = program.numbers()
     for index, stage in enumerate(pipeline.stages):
-        compiled = program.stage(index, 1).lower(state, numbers, np.int32(1)).compile()
+        compiled = program.compile_stage(index, 1)
         memory = compiled.memory_analysis()
         size = pipeline.steps_per_update(stage)
         lines += ["", f"stage {index}: {', '.join(stage.losses)}"]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -19,7 +21,7 @@ from jaxact.multiply_high import spell_out_multiply_high
 from jaxact.overrides import numbers as numbers_of
 from jaxact.overrides import with_numbers
 from jaxact.train_state import TrainState
-from jaxact.update import Metrics, update
+from jaxact.update import Metrics, stack_metrics, update
 
 Numbers = Mapping[str, Any]
 AXIS = "lanes"
@@ -44,7 +46,7 @@ def run_updates(
     limit: jax.Array | int,
     axis_name: str | None = None,
 ) -> tuple[TrainState, Metrics]:
-    """Scans up to `length` updates of a stage; those past `limit` or past its end are skipped.
+    """Does up to `limit` ≤ `length` updates of a stage, fewer where it ends before.
 
     Returns:
       The state after them, and metrics [length] with "active" telling which updates were done.
@@ -58,19 +60,23 @@ def run_updates(
     traced, (_, shapes) = jax.make_jaxpr(do, return_shape=True)(state)
     structure = jax.tree.structure((state, shapes))
 
-    def do_traced(state: TrainState) -> tuple[TrainState, Metrics]:
-        return jax.tree.unflatten(structure, jaxpr_as_fun(traced)(*jax.tree.leaves(state)))
+    def goes_on(carry: tuple[jax.Array, TrainState, jax.Array]) -> jax.Array:
+        done, state, _ = carry
+        ended = state.stopped[stage_index] | (state.updates[stage_index] >= total)
+        return (done < jnp.minimum(limit, length)) & ~ended
 
-    def skip(state: TrainState) -> tuple[TrainState, Metrics]:
-        return state, jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    def step(
+        carry: tuple[jax.Array, TrainState, jax.Array],
+    ) -> tuple[jax.Array, TrainState, jax.Array]:
+        done, state, rows = carry
+        flat = jaxpr_as_fun(traced)(*jax.tree.leaves(state))
+        state, metrics = jax.tree.unflatten(structure, flat)
+        return done + 1, state, rows.at[done].set(stack_metrics(metrics))
 
-    def step(state: TrainState, i: jax.Array) -> tuple[TrainState, Metrics]:
-        done = state.stopped[stage_index] | (state.updates[stage_index] >= total)
-        active = (i < limit) & ~done
-        state, metrics = jax.lax.cond(active, do_traced, skip, state)
-        return state, {**metrics, "active": active}
-
-    return jax.lax.scan(step, state, jnp.arange(length, dtype=jnp.int32))
+    rows = jnp.zeros((length, len(shapes)), jnp.float32)
+    done, state, rows = jax.lax.while_loop(goes_on, step, (jnp.int32(0), state, rows))
+    columns = dict(zip(shapes, rows.T, strict=True))
+    return state, {**columns, "active": jnp.arange(length, dtype=jnp.int32) < done}
 
 
 def make_train(
@@ -149,16 +155,32 @@ class Program:
         """The experiment's numbers, as data for the compiled programs."""
         return {n: jnp.float32(x) for n, x in numbers_of(self.experiment).items()}
 
-    def start(self, key: jax.Array) -> TrainState:
-        """Returns the state before the first update, placed on the devices."""
-        numbers = self.numbers()
+    @cached_property
+    def _start(self) -> Any:
+        """The traced function (key, numbers) -> the state before the first update."""
 
         def begin(key: jax.Array, numbers: Numbers) -> TrainState:
             return train_state.start(with_numbers(self.experiment, dict(numbers)), key)
 
-        return jax.jit(begin, out_shardings=self._shardings)(key, numbers)
+        key = jax.eval_shape(lambda: train_state.make_key(0))
+        return jax.jit(begin, out_shardings=self._shardings).trace(key, self.numbers())
 
-    def like(self, key: jax.Array) -> TrainState:
+    def start(self, key: jax.Array, meanwhile: Callable[[], object] | None = None) -> TrainState:
+        """Returns the state before the first update, placed on the devices.
+
+        Args:
+          key: of everything random.
+          meanwhile: called while XLA compiles; to trace and compile something else.
+        """
+        lowered = self._start.lower()
+        with ThreadPoolExecutor(1) as thread:
+            compiling = thread.submit(lowered.compile)
+            if meanwhile is not None:
+                meanwhile()
+            state: TrainState = compiling.result()(key, self.numbers())
+        return state
+
+    def like(self) -> TrainState:
         """Returns the shapes, dtypes and placement of a train state, without computing one."""
 
         def place(sharding: NamedSharding, part: Any) -> Any:
@@ -166,12 +188,15 @@ class Program:
                 lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=sharding), part
             )
 
-        shape = jax.eval_shape(lambda key: train_state.start(self.experiment, key), key)
-        return jax.tree.map(place, self._shardings, shape)
+        return jax.tree.map(place, self._shardings, self._start.out_info)
 
     @property
     def _shardings(self) -> Any:
         return jax.tree.map(lambda spec: NamedSharding(self.mesh, spec), _SPECS)
+
+    def compile_stage(self, index: int, length: int) -> Any:
+        """Returns `stage(index, length)` compiled, before there is a state to call it on."""
+        return self.stage(index, length).lower(self.like(), self.numbers(), np.int32(0)).compile()
 
     def stage(self, index: int, length: int) -> Any:
         """Returns a stage's jitted function (state, numbers, limit) -> (state, metrics [length]).

@@ -109,6 +109,7 @@ class Run:
         self.options.check()
         self.program = Program(self.experiment, choose_devices(self.options.devices))
         self.fingerprint = fingerprint(to_json(self.experiment))
+        self.stages: dict[int, Any] = {}
         self.directory: Path | None = None
         self.checkpoints: Checkpoints | None = None
         self.log: RunLog | None = None
@@ -150,7 +151,7 @@ class Run:
             self.directory = open_run(options.resume)
         elif options.initial_weights is not None:
             weights = Checkpoints(open_run(options.initial_weights) / "checkpoints")
-            params = weights.restore_part(None, "params", self.program.like(key).params).state
+            params = weights.restore_part(None, "params", self.program.like().params).state
         if options.output is not None and not resumed:
             config = {"seed": self.seed, "fingerprint": self.fingerprint, **self.config}
             config["experiment"] = to_json(self.experiment)
@@ -158,7 +159,7 @@ class Run:
             self.directory = Path(text_of_first(lambda: str(make())))
         if self.directory is not None:
             self.checkpoints = Checkpoints(self.directory / "checkpoints", options.keep_last)
-        state = self._restore(key) if resumed else self.program.start(key)
+        state = self._restore() if resumed else self.program.start(key, lambda: self._compiled(0))
         if params is not None:
             state = dataclasses.replace(state, params=params)
         steps = self._steps(state) if resumed else None
@@ -166,11 +167,11 @@ class Run:
             self.log = RunLog(self.directory, resume_step=steps)
         return state
 
-    def _restore(self, key: jax.Array) -> TrainState:
+    def _restore(self) -> TrainState:
         """Reads the newest checkpoint of the run that is resumed; checked before compiling."""
         assert self.checkpoints is not None
         return self.checkpoints.restore(
-            None, self.program.like(key), name=self.experiment.name, fingerprint=self.fingerprint
+            None, self.program.like(), name=self.experiment.name, fingerprint=self.fingerprint
         ).state
 
     def _train_stage(
@@ -185,8 +186,7 @@ class Run:
         pipeline = self.experiment.pipeline
         stage = pipeline.stages[index]
         size = pipeline.steps_per_update(stage)
-        chunk = max(1, min(self._interval("log_every", 100) // size, pipeline.updates(stage)))
-        advance = self.program.stage(index, chunk)
+        chunk, advance = self._chunk(index), self._compiled(index)
         while self.interrupted is None:
             done = int(state.updates[index])
             left = min(pipeline.updates(stage) - done, -(-(total - self._steps(state)) // size))
@@ -204,6 +204,19 @@ class Run:
             history.append(_rates(rows))
             self._after_chunk(state, before, rows)
         return state
+
+    def _chunk(self, index: int) -> int:
+        """Updates of a stage between two looks at them."""
+        pipeline = self.experiment.pipeline
+        stage = pipeline.stages[index]
+        every = self._interval("log_every", 100) // pipeline.steps_per_update(stage)
+        return max(1, min(every, pipeline.updates(stage)))
+
+    def _compiled(self, index: int) -> Any:
+        """Returns the compiled program of a stage; only the newest is kept."""
+        if index not in self.stages:
+            self.stages = {index: self.program.compile_stage(index, self._chunk(index))}
+        return self.stages[index]
 
     def _after_chunk(self, state: TrainState, before: int, rows: dict[str, np.ndarray]) -> None:
         """Logs, and evaluates, films and saves when it is time."""

@@ -47,12 +47,18 @@ def make_key(seed: int | jax.Array) -> jax.Array:
     return jax.random.key(seed, impl=PRNG_IMPLEMENTATION)
 
 
+# Optimizers to which a parameter's shape and neighbours are nothing. On one flat vector they are a
+# few kernels to compile and to launch, in place of several for each parameter.
+_ELEMENTWISE = (optax.adam, optax.adamw, optax.rmsprop, optax.sgd)
+
+
 def optimizer_for(settings: Any, learning_rate: jax.Array | float) -> optax.GradientTransformation:
     """Returns the pipeline's optimizer at a learning rate, after clipping by global norm."""
-    return optax.chain(
+    optimizer = optax.chain(
         optax.clip_by_global_norm(settings.max_grad_norm),
         settings.optimizer(learning_rate, **settings.optimizer_options),
     )
+    return optax.flatten(optimizer) if settings.optimizer in _ELEMENTWISE else optimizer
 
 
 def init_params(experiment: Experiment, key: jax.Array) -> PyTree:

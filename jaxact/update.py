@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import optax
+from jax.flatten_util import ravel_pytree
 
 from jaxact.experiment import Experiment
 from jaxact.losses.base import Batch, Progress
@@ -176,34 +177,44 @@ def _optimize(
         metrics["losses/total"] = total
         return total, metrics
 
+    names: tuple[str, ...] = ()
+
     def minibatch_step(
         carry: tuple[PyTree, PyTree], chosen: jax.Array
-    ) -> tuple[tuple[PyTree, PyTree], Metrics]:
+    ) -> tuple[tuple[PyTree, PyTree], jax.Array]:
+        nonlocal names
         params, optimizer_state = carry
         grads, metrics = jax.grad(objective, has_aux=True)(params, _take_lanes(batch, chosen))
+        names, values = (*metrics, "train/gradient_norm"), stack_metrics(metrics)
+        flat, unflatten = ravel_pytree(grads)
         if axis_name is not None:
-            grads, metrics = jax.lax.pmean((grads, metrics), axis_name)
-        metrics["train/gradient_norm"] = optax.tree.norm(grads)
+            flat, values = jax.lax.pmean((flat, values), axis_name)
+        values = jnp.append(values, jnp.linalg.norm(flat))
         # Optimizers are others' code, which may rely on JAX's default promotion of dtypes.
         with jax.numpy_dtype_promotion("standard"):
-            updates, optimizer_state = optimizer.update(grads, optimizer_state, params)
-        return (optax.apply_updates(params, updates), optimizer_state), metrics
+            updates, optimizer_state = optimizer.update(unflatten(flat), optimizer_state, params)
+        return (optax.apply_updates(params, updates), optimizer_state), values
 
     def epoch(
         carry: tuple[PyTree, PyTree, jax.Array], _: None
-    ) -> tuple[tuple[PyTree, PyTree, jax.Array], Metrics]:
+    ) -> tuple[tuple[PyTree, PyTree, jax.Array], jax.Array]:
         params, optimizer_state, keys = carry
         keys, order = _minibatch_lanes(keys, settings.minibatches)
-        (params, optimizer_state), metrics = jax.lax.scan(
+        (params, optimizer_state), values = jax.lax.scan(
             minibatch_step, (params, optimizer_state), order
         )
-        return (params, optimizer_state, keys), metrics
+        return (params, optimizer_state, keys), values
 
-    (params, optimizer_state, keys), metrics = jax.lax.scan(
+    (params, optimizer_state, keys), values = jax.lax.scan(
         epoch, (state.params, state.optimizer, lanes.key), None, settings.epochs
     )
-    means = jax.tree.map(jnp.mean, metrics)
+    means = dict(zip(names, jnp.mean(values, axis=(0, 1)), strict=True))
     return params, optimizer_state, replace(lanes, key=keys), means
+
+
+def stack_metrics(metrics: Metrics) -> jax.Array:
+    """Returns metrics of one shape stacked in order, float32 [M, ...]; one array is one kernel."""
+    return jnp.stack([jnp.asarray(x).astype(jnp.float32) for x in metrics.values()])
 
 
 def _minibatch_lanes(keys: jax.Array, minibatches: int) -> tuple[jax.Array, jax.Array]:
@@ -249,13 +260,13 @@ def _episode_sums(
         **{f"task/{name}": value for name, value in trajectory.step.metrics.items()},
     }
     mask = finished.mask
-    sums = {n: jnp.sum(jnp.where(mask, v.astype(jnp.float32), 0.0)) for n, v in values.items()}
-    sums["count"] = jnp.sum(mask.astype(jnp.float32))
+    values["count"] = jnp.ones_like(mask)
     for name, of_kind in kinds.items():
-        ended = mask & of_kind
-        sums[f"kinds/{name}/count"] = jnp.sum(ended.astype(jnp.float32))
-        sums[f"kinds/{name}/success"] = jnp.sum((ended & finished.success).astype(jnp.float32))
-    return sums if axis_name is None else jax.lax.psum(sums, axis_name)
+        values[f"kinds/{name}/count"] = of_kind
+        values[f"kinds/{name}/success"] = of_kind & finished.success
+    totals = jnp.sum(jnp.where(mask, stack_metrics(values), 0.0), axis=(1, 2))
+    totals = totals if axis_name is None else jax.lax.psum(totals, axis_name)
+    return dict(zip(values, totals, strict=True))
 
 
 def _early_stopping(

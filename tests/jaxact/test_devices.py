@@ -74,7 +74,7 @@ SCRIPT = """
             for name in one:
                 np.testing.assert_allclose(one[name], other[name], rtol=1e-3, atol=1e-4)
 
-    like = program[least].like(make_key(3))
+    like = program[least].like()
     state = Checkpoints("checkpoints").restore(None, like).state
     assert len(state.lanes.is_first.sharding.device_set) == least
     state, _ = updates(least, state, 2)

@@ -14,7 +14,6 @@ from jaxact import JaxactError, override, train
 from jaxact.checkpoints import Checkpoints
 from jaxact.program import Program, choose_devices
 from jaxact.train import Run
-from jaxact.train_state import make_key
 from tests.tiny import OPTIONS, UPDATE, assert_same, cache_environment, experiment
 
 
@@ -27,7 +26,7 @@ def assert_same_run(run, other):
     files = ("metrics.jsonl", "config.json", f"evaluation/{8 * UPDATE:012d}.json")
     for name in files:
         assert (run / name).read_bytes() == (other / name).read_bytes(), name
-    like = Program(experiment(), choose_devices(1)).like(make_key(1))
+    like = Program(experiment(), choose_devices(1)).like()
     one, another = (Checkpoints(path / "checkpoints").restore(None, like) for path in (run, other))
     assert one.step == another.step
     assert_same(one.state, another.state)
