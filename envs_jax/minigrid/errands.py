@@ -33,7 +33,15 @@ from envs_jax.minigrid.environment import (
     is_kind,
 )
 from envs_jax.minigrid.planner import Board, Terrain
-from envs_jax.minigrid.regions import around, beside, cell_board, dispensable, first_cell, spread
+from envs_jax.minigrid.regions import (
+    around,
+    beside,
+    cell_board,
+    dispensable,
+    first_cell,
+    nearest,
+    spread,
+)
 from envs_jax.minigrid.state import CONTENTS_SHIFT, GridState
 from envs_jax.minigrid.subgoals import Subgoal, inner
 from jaxact.pomdp import ExpertAction
@@ -147,8 +155,8 @@ def _survey(subgoal: Subgoal, state: GridState) -> _Map:
     fitting = jnp.where(subgoal.may_open, planner.pack(fits), nothing)
     locks = planner.pack(locked & ~fits & _has_key(colors, state))
     here = cell_board(state.position, subgoal.cells)
-    near = spread(here, walkable | closed, nothing)
-    far = spread(near, walkable | closed | fitting, nothing)
+    near = spread(here, walkable | closed)
+    far = spread(near, walkable | closed | fitting)
     return _Map(
         walkable=walkable,
         closed=closed,
@@ -230,17 +238,15 @@ def _ready(step: _Step, world: _Map) -> Board:
 
 
 def _obstacles(step: _Step, world: _Map) -> Board:
-    """Returns what can be acted on and is first in the way of the step, coming from its cells.
+    """Returns what can be acted on and is in the way of the step, behind it as little as can be.
 
     A way past objects is preferred to one through locked doors.
     """
     nothing = jnp.zeros_like(step.cells)
     shut = jnp.where(step.action == TOGGLE, step.cells & step.locks & world.far, nothing)
-    loose = world.loose & world.far
-    past_objects = spread(step.cells, world.passable | world.loose, loose) & loose
-    every = (world.loose | step.locks) & world.far
+    past_objects = nearest(step.cells, world.passable, world.loose, world.far)
     seeds = jnp.where(_any(past_objects), nothing, step.cells)
-    past_locks = spread(seeds, world.passable | world.loose | step.locks, every) & every
+    past_locks = nearest(seeds, world.passable, world.loose | step.locks, world.far)
     return jnp.where(_any(shut), shut, jnp.where(_any(past_objects), past_objects, past_locks))
 
 

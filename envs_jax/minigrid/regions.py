@@ -26,15 +26,12 @@ def around(cells: Board) -> Board:
     return wide | _down(wide) | _up(wide)
 
 
-def spread(seeds: Board, passable: Board, until: Board) -> Board:
-    """Grows `seeds` through passable cells, until it has met a cell of `until` or is complete.
-
-    All cells of `until` that it has met then are equally far, in cells, from the nearest seed.
-    """
+def spread(seeds: Board, passable: Board) -> Board:
+    """Grows `seeds` through passable cells."""
 
     def grows(carry: tuple[Board, Board]) -> jax.Array:
         before, now = carry
-        return jnp.any(before != now) & ~jnp.any(now & until != 0)
+        return jnp.any(before != now)
 
     def grow(carry: tuple[Board, Board]) -> tuple[Board, Board]:
         _, now = carry
@@ -42,6 +39,26 @@ def spread(seeds: Board, passable: Board, until: Board) -> Board:
 
     _, reached = lax.while_loop(grows, grow, (jnp.zeros_like(seeds), seeds))
     return reached
+
+
+def nearest(seeds: Board, passable: Board, obstacles: Board, sought: Board) -> Board:
+    """Returns the obstacles among `sought` with the fewest other obstacles between them and seeds.
+
+    The fewest, not the nearest in cells: moving something away from the side of a row of
+    obstacles, where another one can be passed at once, could go on for ever.
+    """
+
+    def grows(carry: tuple[Board, Board]) -> jax.Array:
+        before, now = carry
+        return jnp.any(before != now) & ~jnp.any(now & obstacles & sought != 0)
+
+    def grow(carry: tuple[Board, Board]) -> tuple[Board, Board]:
+        _, now = carry
+        region = spread(now, passable)
+        return now, region | beside(region) & obstacles
+
+    _, reached = lax.while_loop(grows, grow, (jnp.zeros_like(seeds), seeds))
+    return reached & obstacles & sought
 
 
 def first_cell(cells: Board) -> jax.Array:
