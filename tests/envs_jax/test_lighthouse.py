@@ -36,22 +36,30 @@ def play(pomdp, goal, actions):
     return [reading.astype(int).tolist() for reading in readings], state, steps
 
 
-def test_advisors_is_sound():
+def test_advisors_is_a_square_of_31_cells_a_side():
     pomdp = envs_jax.make(NAME)
-    check_pomdp(pomdp)
+    assert (pomdp.environment.dim, pomdp.environment.radius) == (2, 15)
+    assert pomdp.task.expert_view_radius == 15
     assert pomdp.observation_space.spaces["design"].shape == (6400,)
     assert pomdp.environment.action_names == ("down", "right", "up", "left")
-    state, _ = pomdp.reset(jax.random.key(0))
-    assert int(state.horizon) == 1000
-    assert state.environment.position.tolist() == [0, 0]
+    assert pomdp.sensors["design"].view_radius == 1
+    episode = pomdp.sampler.sample(jax.random.key(0), ())
+    assert int(episode.horizon) == 1000
+    assert episode.environment.position.tolist() == [0, 0]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
-    [{"dim": 1}, {"dim": 1, "observation": "corners"}, {"observation": "corners"}, {"degree": 2}],
+    [
+        {},
+        {"dim": 1},
+        {"dim": 1, "observation": "corners"},
+        {"observation": "corners"},
+        {"degree": 2},
+    ],
 )
-def test_others_are_sound(options):
+def test_they_are_sound(options):
     check_pomdp(envs_jax.make(NAME, **options))
 
 
