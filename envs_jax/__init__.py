@@ -1,8 +1,10 @@
 """Worlds and tasks in pure JAX, built by `make(id)`."""
 
+from envs_jax import lighthouse as lighthouse
 from envs_jax import minigrid as minigrid
+from envs_jax import poisoned_doors as poisoned_doors
 from envs_jax.registry import ids as ids
 from envs_jax.registry import make as make
 from envs_jax.registry import register as register
 
-__all__ = ["ids", "make", "minigrid", "register"]
+__all__ = ["ids", "lighthouse", "make", "minigrid", "poisoned_doors", "register"]

@@ -20,6 +20,8 @@ from jaxact.models.output import ActorCriticOutput
 from jaxact.pomdp import POMDP, Episode, ExpertAction, FinishedEpisodes, PyTree, State, Step
 
 QUEUE_LENGTH = 8
+# With a sampler that learns the queue lasts for one rollout, see `rollout`.
+QUEUE_LENGTH_IF_LEARNING = 1
 
 
 @jax.tree_util.register_dataclass
@@ -115,6 +117,13 @@ def fill_queue(
     flat = jax.vmap(sample)(jnp.repeat(key, length), indices.reshape(-1))
     episodes, observations = jax.tree.map(lambda x: x.reshape(-1, length, *x.shape[1:]), flat)
     return EpisodeQueue(key, first, jnp.zeros_like(first), episodes, observations)
+
+
+def forget(queue: EpisodeQueue) -> EpisodeQueue:
+    """Returns the queue with nothing in it, to be filled from where each lane's stream stands."""
+    length = jax.tree.leaves(queue.observations)[0].shape[1]
+    used_up = jnp.full_like(queue.taken, length)
+    return replace(queue, first=queue.first + queue.taken - used_up, taken=used_up)
 
 
 def turn_over(
@@ -242,6 +251,10 @@ def rollout(
 ) -> tuple[Lanes, Trajectory]:
     """Steps all lanes `length` times.
 
+    With a sampler that learns, what was sampled ahead in earlier rollouts is forgotten, so that
+    each episode is drawn under the sampler's state in the rollout in which it begins. When a queue
+    was refilled last depends on its neighbours, and so on which lanes share a device.
+
     Args:
       pomdp: the world.
       policy: (observation, memory, previous_action, is_first) -> (output, memory), on [B, ...].
@@ -315,6 +328,8 @@ def rollout(
         )
         return lanes, transition
 
+    if pomdp.sampler.learns:
+        lanes = replace(lanes, queue=forget(lanes.queue))
     return jax.lax.scan(act, lanes, None, length)
 
 

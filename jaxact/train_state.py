@@ -11,7 +11,7 @@ import optax
 
 from jaxact.experiment import Experiment
 from jaxact.pomdp import PyTree
-from jaxact.rollout import QUEUE_LENGTH, Lanes, start_lanes
+from jaxact.rollout import QUEUE_LENGTH, QUEUE_LENGTH_IF_LEARNING, Lanes, start_lanes
 
 # Exact under vmap, the same on every backend, and several times faster on CPUs than the default.
 PRNG_IMPLEMENTATION = "philox2x32"
@@ -75,13 +75,15 @@ def start(experiment: Experiment, key: jax.Array) -> TrainState:
     params_key, sampler_key, lanes_key = jax.random.split(key, 3)
     pipeline = experiment.pipeline
     params = init_params(experiment, params_key)
-    sampler = experiment.pomdp.sampler.init(sampler_key)
+    pomdp = experiment.pomdp
+    sampler = pomdp.sampler.init(sampler_key)
+    queue_length = QUEUE_LENGTH_IF_LEARNING if pomdp.sampler.learns else QUEUE_LENGTH
     lane_keys = jax.random.split(lanes_key, pipeline.lanes)
     stages = len(pipeline.stages)
     return TrainState(
         params=params,
         optimizer=optimizer_for(pipeline, 0.0).init(params),
-        lanes=start_lanes(experiment.pomdp, sampler, experiment.model, lane_keys, QUEUE_LENGTH),
+        lanes=start_lanes(pomdp, sampler, experiment.model, lane_keys, queue_length),
         sampler=sampler,
         updates=jnp.zeros(stages, jnp.int32),
         stopped=jnp.zeros(stages, bool),

@@ -20,8 +20,9 @@ from jaxact import Experiment, Stage, TrainingPipeline
 from jaxact.losses import PPO, Imitation
 from jaxact.models import GRU, ActorCritic, Concatenated, Vector
 from jaxact.pomdp import POMDP, Task
+from jaxact.samplers import LadderSampler, PrioritizedLevelReplay
 from jaxact.schedules import Linear
-from tests.corridor import ReachEnd, corridor
+from tests.corridor import RandomStart, ReachEnd, corridor
 
 # Environment steps of one update of `experiment()`.
 UPDATE = 64
@@ -86,6 +87,16 @@ def experiment(pomdp: POMDP | None = None, name: str = "corridor", **settings: A
         "learning_rate": Linear(1e-2, 0.0, 8.0 * UPDATE),
     }
     return Experiment(name, pomdp, model, TrainingPipeline(**defaults | settings))
+
+
+def curriculum() -> POMDP:
+    """The corridor with samplers that learn, one made of others: a ladder of levels replayed."""
+    rungs = {
+        name: PrioritizedLevelReplay(RandomStart(horizon=horizon), size=16)
+        for name, horizon in (("long", 10), ("short", 5))
+    }
+    ladder = LadderSampler(rungs, promote_at=0.1, episodes=8, rehearsal=0.5)
+    return dataclasses.replace(corridor(), sampler=ladder)
 
 
 def raw(leaf: Any) -> np.ndarray:

@@ -122,12 +122,6 @@ _EMPTY_SIZES = (5, 6, 8, 16)
 _EMPTY_RANDOM_SIZES = (5, 6)
 _DOOR_KEY_SIZES = (5, 6, 8, 16)
 _CROSSINGS = ((9, 1), (9, 2), (9, 3), (11, 5))
-# Those of ADVISOR's experiments (Weihs et al. 2021, https://arxiv.org/abs/2007.12173), by name.
-_ADVISOR_CROSSINGS = {
-    "LavaCrossingS15N7-v0": (15, 7, False),
-    "LavaCrossingS25N10-v0": (25, 10, False),
-    "WallCrossingS25N10-v0": (25, 10, True),
-}
 # Rooms and their largest size. The four in N4-S5-v0 were always six.
 _MULTI_ROOMS = {"N2-S4-v0": (2, 4), "N4-S5-v0": (6, 5), "N4-S5-v1": (4, 5), "N6-v0": (6, 10)}
 # What to do, size, number of objects, horizon. That of PutNear is in proportion to the side.
@@ -251,14 +245,6 @@ def _room_grid_worlds() -> dict[str, _World]:
     return worlds
 
 
-def _advisor_worlds() -> dict[str, _World]:
-    """Returns MiniGrid's crossings in the sizes of ADVISOR's experiments, by name."""
-    return {
-        name: _World(CrossingSampler(size, rivers, 4 * size**2, walls), size, size)
-        for name, (size, rivers, walls) in _ADVISOR_CROSSINGS.items()
-    }
-
-
 def _one_room_world(sampler: GoToSampler) -> _World:
     size = sampler.size
     return _World(sampler, size, size, GoToTask, mission_length=GO_TO_LENGTH)
@@ -277,16 +263,13 @@ def _level_world(sampler: LevelSampler) -> _World:
 
 
 def register_all() -> None:
-    """Registers every grid world under Farama's id.
+    """Registers every grid world that has one of Farama's ids.
 
-    All take the options `observation`, `view_size` and `tile_size`, see `compose`. Those of which
-    there is none in Farama's packages have the prefix `Advisor-`.
+    All take the options `observation`, `view_size` and `tile_size`, see `compose`.
     """
     worlds = _goal_worlds() | _rule_worlds() | _room_grid_worlds() | _obstacle_worlds()
     for name, world in worlds.items():
         register(f"MiniGrid-{name}", partial(_grid_world, world))
-    for name, world in _advisor_worlds().items():
-        register(f"Advisor-{name}", partial(_grid_world, world))
     for name, go_to_sampler in babyai.one_room_levels().items():
         register(f"BabyAI-{name}", partial(_grid_world, _one_room_world(go_to_sampler)))
     for name, level_sampler in babyai.levels().items():

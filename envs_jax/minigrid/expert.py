@@ -78,11 +78,20 @@ def goal_expert(
       An int32 action of `GridWorld`. It is not valid where there is no such plan.
     """
     del key, task_state
+    return goal_plan(state, height)[0]
+
+
+def goal_plan(state: GridState, height: int) -> tuple[ExpertAction, jax.Array]:
+    """Returns the advice of `goal_expert`, and how many actions its plan takes.
+
+    The number, an int32 scalar, is meaningless where the advice is not valid.
+    """
     cells = _cells(state.tiles)
     goals = planner.facing(planner.pack(cells & tiles.TYPE_MASK == tiles.GOAL))
     terrain, layer = _layers(_survey(cells, state.carrying, spare_keys=True), state.carrying)
     plan = planner.plan(terrain, goals, state.position, state.direction, layer)
-    return ExpertAction(_name(plan, state, height, FORWARD), plan.reached)
+    # The plan ends in front of the goal.
+    return ExpertAction(_name(plan, state, height, FORWARD), plan.reached), plan.distance + 1
 
 
 def goto_expert(

@@ -46,8 +46,8 @@ class LadderSampler(TaskSampler):
 
     Success on the present rung is measured in blocks of at least `episodes` episodes; after a block
     with a success rate of at least `promote_at` the next rung is the present one. There is no way
-    down, but a share of the episodes rehearses lower rungs. Episodes sampled ahead are played
-    first, so a promotion shows after some delay.
+    down, but a share of the episodes rehearses lower rungs. Episodes that have begun are played to
+    their end.
 
     Success is reported by the rungs' names, as by `MixtureSampler`, and the present rung as
     "train/sampler/rung". Evaluation plays all rungs in equal shares, at any time.

@@ -26,11 +26,11 @@ SCRIPT = """
     from jaxact.losses import PPO, Imitation
     from jaxact.program import Program, choose_devices
     from jaxact.train_state import make_key
-    from tests.tiny import experiment, raw
+    from tests.tiny import curriculum, experiment, raw
 
-    counts = json.loads(sys.argv[1])
+    counts, pomdp = json.loads(sys.argv[1]), curriculum() if sys.argv[2] == "curriculum" else None
     stage = Stage({"ppo": PPO(), "imitation": Imitation()}, steps=256, teacher_forcing=0.5)
-    small = experiment(stages=(stage,), learning_rate=1e-2)
+    small = experiment(pomdp, stages=(stage,), learning_rate=1e-2)
     program = {n: Program(small, choose_devices(n)) for n in counts}
     advance = {n: program[n].stage(0, 1) for n in counts}
 
@@ -57,8 +57,8 @@ SCRIPT = """
         first[n] = lanes(state)
         if n == max(counts):
             Checkpoints("checkpoints").save(64, state, metadata={})
-        state, others = updates(n, state, 2)
-        ends[n], rows[n] = host(state.params), begun + others
+        state, others = updates(n, state, 3)
+        ends[n], rows[n] = host((state.params, state.sampler)), begun + others
 
     least, most = min(counts), max(counts)
     for n in counts:
@@ -77,8 +77,8 @@ SCRIPT = """
     like = program[least].like()
     state = Checkpoints("checkpoints").restore(None, like).state
     assert len(state.lanes.is_first.sharding.device_set) == least
-    state, _ = updates(least, state, 2)
-    for a, b in zip(host(state.params), ends[least], strict=True):
+    state, _ = updates(least, state, 3)
+    for a, b in zip(host((state.params, state.sampler)), ends[least], strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4)
 
     try:
@@ -100,9 +100,9 @@ def environment(devices):
     return os.environ | cache_environment() | names
 
 
-def run(counts, directory):
+def run(counts, sampler, directory):
     return subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(SCRIPT), json.dumps(counts)],
+        [sys.executable, "-c", textwrap.dedent(SCRIPT), json.dumps(counts), sampler],
         env=environment(4),
         cwd=directory,
         capture_output=True,
@@ -111,10 +111,20 @@ def run(counts, directory):
     )
 
 
-@pytest.mark.parametrize("counts", [[1, 4], pytest.param([1, 2, 4], marks=pytest.mark.slow)])
-def test_any_number_of_devices_learns_the_same(counts, tmp_path):
-    """First the very same steps, then the same but for rounding; checkpoints move between them."""
-    ended = run(counts, tmp_path)
+@pytest.mark.parametrize(
+    ("counts", "sampler"),
+    [
+        ([1, 4], "plain"),
+        pytest.param([1, 2, 4], "plain", marks=pytest.mark.slow),
+        pytest.param([1, 2, 4], "curriculum", marks=pytest.mark.slow),
+    ],
+)
+def test_any_number_of_devices_learns_the_same(counts, sampler, tmp_path):
+    """First the very same steps, then the same but for rounding; checkpoints move between them.
+
+    A curriculum draws the same episodes, too, and learns the same from them.
+    """
+    ended = run(counts, sampler, tmp_path)
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.strip() == "done"
 

@@ -14,7 +14,7 @@ from jaxact import JaxactError, override, train
 from jaxact.checkpoints import Checkpoints
 from jaxact.program import Program, choose_devices
 from jaxact.train import Run
-from tests.tiny import OPTIONS, UPDATE, assert_same, cache_environment, experiment
+from tests.tiny import OPTIONS, UPDATE, assert_same, cache_environment, curriculum, experiment
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +44,21 @@ def test_resuming_anywhere_ends_at_the_same_place(unbroken, updates, tmp_path):
     assert_same(resumed.state, unbroken.state)
     assert resumed.metrics["step"].tolist() == [UPDATE * n for n in range(updates + 1, 9)]
     assert_same_run(run, unbroken.run)
+
+
+@pytest.mark.slow
+def test_what_a_curriculum_has_learnt_is_resumed(tmp_path):
+    """A ladder of levels that are replayed, stopped on its upper rung in the first stage."""
+    small = experiment(curriculum())
+    whole = train(small, seed=1, output=tmp_path / "whole", **OPTIONS)
+    assert int(whole.state.sampler.rung) == 1
+    assert all(int(rung.episodes) > 0 for rung in whole.state.sampler.rungs)
+    for path in (whole.run / "checkpoints").iterdir():
+        if int(path.name) > 2 * UPDATE:
+            shutil.rmtree(path)
+    resumed = train(small, seed=1, resume=whole.run, **OPTIONS)
+    assert resumed.metrics["step"].tolist() == [UPDATE * n for n in range(3, 9)]
+    assert_same(resumed.state, whole.state)
 
 
 def test_a_finished_run_resumed_is_only_evaluated_again(unbroken, tmp_path):

@@ -116,10 +116,12 @@ LOST = {
     "BabyAI-MiniBossLevel-v0": 0.002,
 }
 EPISODES = 2000
+# In the others there is nothing to do, or the expert is meant to fail.
+SOLVED = [x for x in envs_jax.ids() if "Playground" not in x and "CorruptExpert" not in x]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in envs_jax.ids() if "Playground" not in name])
+@pytest.mark.parametrize("name", SOLVED)
 def test_solves_every_world_within_its_horizon(name: str) -> None:
     pomdp = without_sensors(name)
     record = follow(pomdp, *reset(pomdp, EPISODES))
@@ -127,5 +129,5 @@ def test_solves_every_world_within_its_horizon(name: str) -> None:
     deviation = np.sqrt(lost * (1 - lost) / EPISODES)
     assert np.mean(~record.won) <= lost + 3 * deviation + 0.001
     # Of two strict doors the first can be opened, so there it does not abstain.
-    if not name.startswith("BabyAI-OpenDoorsOrder"):
+    if not name.startswith(("BabyAI-OpenDoorsOrder", "BabyAI-MiniBossLevel")):
         assert np.mean(record.won | record.abstained) >= 0.999

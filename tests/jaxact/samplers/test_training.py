@@ -5,6 +5,7 @@ import dataclasses
 import jax
 import numpy as np
 
+from jaxact.checkpoints import Checkpoints
 from jaxact.program import Program, choose_devices
 from jaxact.samplers import FixedSeeds, LadderSampler, PrioritizedLevelReplay
 from jaxact.train_state import make_key
@@ -12,8 +13,11 @@ from tests.corridor import RandomStart, corridor
 from tests.tiny import assert_same, experiment
 
 
-def trained(sampler, updates):
-    """The state after some updates of the first stage, done one by one, and their metrics."""
+def trained(sampler, updates, checkpoints=None):
+    """The state after so many updates of the first stage, and again so many, and their metrics.
+
+    Between them it is saved and restored, if it is said where.
+    """
     program = Program(
         experiment(dataclasses.replace(corridor(), sampler=sampler)), choose_devices(1)
     )
@@ -22,10 +26,13 @@ def trained(sampler, updates):
     for count in updates:
         state, metrics = advance(state, program.numbers(), np.int32(count))
         rows += [jax.tree.map(lambda x, i=i: float(x[i]), metrics) for i in range(count)]
+        if checkpoints is not None:
+            checkpoints.save(len(rows), state, metadata={})
+            state = checkpoints.restore(None, program.like(make_key(0))).state
     return state, rows
 
 
-def test_levels_are_scored_and_replayed():
+def test_levels_are_scored_and_replayed(tmp_path):
     """Among few levels most episodes that end in the second update are of levels known by then."""
     levels = FixedSeeds(RandomStart(), (1, 2, 3))
     sampler = PrioritizedLevelReplay(levels, size=64, replay=1.0)
@@ -33,14 +40,20 @@ def test_levels_are_scored_and_replayed():
     assert rows[0]["train/sampler/levels"] == rows[0]["episodes/count"] > 0
     assert rows[0]["train/sampler/score"] > 0
     assert int(state.sampler.episodes) == sum(row["episodes/count"] for row in rows)
-    # One by one or two at once: the same bits.
-    assert_same(state, trained(sampler, (1, 2))[0])
+    # Two at once or one, and also from disk: the same bits.
+    assert_same(state, trained(sampler, (1, 2), Checkpoints(tmp_path))[0])
 
 
 def test_the_ladder_is_climbed():
-    """The expert acts: every episode of the first rung succeeds, and after four the next begins."""
+    """The expert acts: every episode of the first rung succeeds, and after four the next begins.
+
+    From the next update on, of the first there is only what has begun: one episode a lane.
+    """
     rungs = {"short": RandomStart(horizon=10), "hopeless": RandomStart(horizon=1)}
-    state, rows = trained(LadderSampler(rungs, promote_at=0.5, episodes=4), (2,))
+    ladder = LadderSampler(rungs, promote_at=0.5, episodes=4, rehearsal=0.0)
+    state, rows = trained(ladder, (2,))
     assert rows[0]["episodes/kinds/short/count"] >= 4
     assert rows[0]["episodes/kinds/hopeless/count"] == 0
+    assert rows[1]["episodes/kinds/hopeless/count"] > 0
+    assert rows[1]["episodes/kinds/short/count"] <= 8
     assert int(state.sampler.rung) == rows[-1]["train/sampler/rung"] == 1.0
