@@ -28,7 +28,7 @@ def trained(sampler, updates, checkpoints=None):
         rows += [jax.tree.map(lambda x, i=i: float(x[i]), metrics) for i in range(count)]
         if checkpoints is not None:
             checkpoints.save(len(rows), state, metadata={})
-            state = checkpoints.restore(None, program.like(make_key(0))).state
+            state = checkpoints.restore(None, program.like()).state
     return state, rows
 
 
