@@ -17,12 +17,15 @@ from typing import Any, Protocol
 import numpy as np
 
 PyTree = Any
+Facts = dict[str, Any]
 
 # Each JAX system draws from the generator that it is fastest with: NAVIX's levels come from
 # categorical draws, which philox makes slower.
 PHILOX, THREEFRY = "philox2x32", "threefry2x32"
 # MiniGrid's worlds are Python objects: more of them are not stepped any faster.
 PYTHON_LANES = 8
+# EnvPool's worlds must be stepped to grow old, which in long episodes would take minutes.
+ENVPOOL_AGES = 128
 
 
 class Unsupported(Exception):
@@ -55,6 +58,7 @@ class Job:
       seed: of everything random.
       devices: the lanes are sharded over so many (JAX systems).
       variant: a choice from `SYSTEMS[system].variants`.
+      horizon: steps that peers give an episode.
     """
 
     id: str
@@ -64,6 +68,7 @@ class Job:
     seed: int
     devices: int
     variant: str
+    horizon: int = 0
 
 
 @dataclass(frozen=True)
@@ -71,7 +76,8 @@ class System:
     """One system.
 
     Attributes:
-      build: starts it.
+      build: starts it, compiled and warm; its facts have the number of lanes and, of jaxact's
+        worlds, the horizon.
       observation: what is consumed at every step.
       turnover: what happens when an episode ends.
       variants: ways to run it; all are tried, the fastest is reported. For JAX systems these are
@@ -80,7 +86,7 @@ class System:
       share: of the steps asked for; slow systems need fewer for a repeat as long.
     """
 
-    build: Callable[[Job], tuple[Running, int]]
+    build: Callable[[Job], tuple[Running, Facts]]
     observation: str
     turnover: str
     variants: tuple[str, ...]
@@ -93,32 +99,25 @@ class System:
         return self.prng is not None
 
 
-def horizon(name: str) -> int:
-    """Returns how many steps jaxact's world `name` allows; peers are given the same."""
-    import jax
-
-    import envs_jax
-
-    state, _ = envs_jax.make(name).reset(jax.random.key(0))
-    return int(state.horizon)
-
-
 def _require(package: str) -> None:
     if find_spec(package) is None:
         raise Unsupported("not installed (pip install 'jaxact[bench]')")
 
 
-def _compile(world: Any, job: Job) -> tuple[Running, int]:
+def _compile(world: Any, job: Job) -> tuple[Any, Facts]:
     from benchmarks.jax_loop import compile_loop
 
     prng = SYSTEMS[job.system].prng
-    return compile_loop(world, job.seed, prng, job.lanes, job.steps, job.devices), job.lanes
+    loop = compile_loop(world, job.seed, prng, job.lanes, job.steps, job.devices)
+    return loop, {"lanes": job.lanes}
 
 
-def _jaxact(job: Job) -> tuple[Running, int]:
+def _jaxact(job: Job) -> tuple[Running, Facts]:
     import envs_jax
 
-    return _compile(JaxactWorld(envs_jax.make(job.id)), job)
+    loop, facts = _compile(JaxactWorld(envs_jax.make(job.id)), job)
+    # It may depend on the level.
+    return loop, facts | {"horizon": int(np.median(loop.carry.state[0].horizon))}
 
 
 class JaxactWorld:
@@ -130,32 +129,30 @@ class JaxactWorld:
 
     def begin(self, key: Any, lanes: int) -> tuple[PyTree, PyTree]:
         """See `benchmarks.jax_loop.World`."""
-        from dataclasses import replace
-
         import jax
         import jax.numpy as jnp
 
-        from jaxact.rollout import QUEUE_LENGTH, start_lanes, turn_over
+        from jaxact.rollout import QUEUE_LENGTH, start_lanes
 
-        sampler_key, lanes_key, ages_key = jax.random.split(key, 3)
+        sampler_key, lanes_key = jax.random.split(key)
         sampler_state = self.pomdp.sampler.init(sampler_key)
         no_model = SimpleNamespace(initial_memory=lambda lanes: ())
         keys = jax.random.split(lanes_key, lanes)
+        # Their horizon being zero, all of them turn over in the first step.
         waiting = start_lanes(self.pomdp, sampler_state, no_model, keys, QUEUE_LENGTH)
-        queue, worlds, observation = turn_over(
-            self.pomdp,
-            sampler_state,
-            waiting.queue,
-            waiting.is_first,
-            waiting.state,
-            waiting.observation,
-        )
-        ages = jax.random.randint(ages_key, (lanes,), 0, worlds.horizon, jnp.int32)
         # One copy of the sampler's state a lane, so that all leaves have the same first axis.
         sampler_states = jax.tree.map(
             lambda x: jnp.broadcast_to(x, (lanes, *x.shape)), sampler_state
         )
-        return (replace(worlds, steps=ages), queue, sampler_states), observation
+        return (waiting.state, waiting.queue, sampler_states), waiting.observation
+
+    def age(self, state: PyTree, share: Any) -> PyTree:
+        """See `benchmarks.jax_loop.World`."""
+        from dataclasses import replace
+
+        worlds, queue, sampler_states = state
+        steps = (share * worlds.horizon.astype(share.dtype)).astype(worlds.steps.dtype)
+        return replace(worlds, steps=steps), queue, sampler_states
 
     def step(self, key: Any, state: PyTree, action: Any) -> tuple[PyTree, PyTree, Any, Any]:
         """See `benchmarks.jax_loop.World`."""
@@ -173,7 +170,7 @@ class JaxactWorld:
         return (worlds, queue, sampler_states), observation, step.reward, step.finished
 
 
-def _xminigrid(job: Job) -> tuple[Running, int]:
+def _xminigrid(job: Job) -> tuple[Running, Facts]:
     _require("xminigrid")
     import xminigrid
 
@@ -181,7 +178,7 @@ def _xminigrid(job: Job) -> tuple[Running, int]:
     name = name.replace("UnlockPickup", "UnlockPickUp")
     if name not in xminigrid.registered_environments():
         raise Unsupported("xminigrid has no such world")
-    return _compile(XMiniGridWorld(name, horizon(job.id)), job)
+    return _compile(XMiniGridWorld(name, job.horizon), job)
 
 
 class XMiniGridWorld:
@@ -201,13 +198,14 @@ class XMiniGridWorld:
         """See `benchmarks.jax_loop.World`."""
         import jax
 
-        reset_key, ages_key = jax.random.split(key)
         reset = jax.vmap(self.env.reset, in_axes=(None, 0))
-        timestep = reset(self.params, jax.random.split(reset_key, lanes))
-        numbers = timestep.state.step_num
-        ages = jax.random.randint(ages_key, (lanes,), 0, self.params.max_steps, numbers.dtype)
-        timestep = timestep.replace(state=timestep.state.replace(step_num=ages))
+        timestep = reset(self.params, jax.random.split(key, lanes))
         return timestep, timestep.observation
+
+    def age(self, state: PyTree, share: Any) -> PyTree:
+        """See `benchmarks.jax_loop.World`."""
+        steps = (share * self.params.max_steps).astype(state.state.step_num.dtype)
+        return state.replace(state=state.state.replace(step_num=steps))
 
     def step(self, key: Any, state: PyTree, action: Any) -> tuple[PyTree, PyTree, Any, Any]:
         """See `benchmarks.jax_loop.World`."""
@@ -219,14 +217,14 @@ class XMiniGridWorld:
         return timestep, timestep.observation, timestep.reward, timestep.last()
 
 
-def _navix(job: Job) -> tuple[Running, int]:
+def _navix(job: Job) -> tuple[Running, Facts]:
     _require("navix")
     import navix
 
     name = job.id.replace("MiniGrid-", "Navix-")
     if name not in navix.registry():
         raise Unsupported("navix has no such world")
-    return _compile(NavixWorld(name, horizon(job.id)), job)
+    return _compile(NavixWorld(name, job.horizon), job)
 
 
 class NavixWorld:
@@ -248,14 +246,15 @@ class NavixWorld:
         import jax.numpy as jnp
         from navix.rendering.cache import RenderingCache
 
-        reset_key, ages_key = jax.random.split(key)
         # Symbolic views need no sprites: without this each lane would carry a picture of its grid.
         no_sprites = RenderingCache(patches=jnp.zeros(1, jnp.uint8))
         reset = jax.vmap(self.env.reset, in_axes=(0, None))
-        timestep = reset(jax.random.split(reset_key, lanes), no_sprites)
-        ages = jax.random.randint(ages_key, (lanes,), 0, self.max_steps, timestep.t.dtype)
-        timestep = timestep.replace(t=ages)
+        timestep = reset(jax.random.split(key, lanes), no_sprites)
         return timestep, timestep.observation
+
+    def age(self, state: PyTree, share: Any) -> PyTree:
+        """See `benchmarks.jax_loop.World`."""
+        return state.replace(t=(share * self.max_steps).astype(state.t.dtype))
 
     def step(self, key: Any, state: PyTree, action: Any) -> tuple[PyTree, PyTree, Any, Any]:
         """See `benchmarks.jax_loop.World`."""
@@ -295,13 +294,13 @@ class _Host:
         self.finished += int(np.sum(finished))
 
 
-def _envpool(job: Job) -> tuple[Running, int]:
+def _envpool(job: Job) -> tuple[Running, Facts]:
     _require("envpool")
     import envpool
 
     if job.id not in envpool.list_all_envs():
         raise Unsupported("envpool has no such world")
-    return EnvPoolLoop(job), job.lanes
+    return EnvPoolLoop(job), {"lanes": job.lanes}
 
 
 class EnvPoolLoop(_Host):
@@ -312,23 +311,23 @@ class EnvPoolLoop(_Host):
 
         super().__init__()
         self.lanes, self.steps = job.lanes, job.steps
-        limit = horizon(job.id)
         self.env = envpool.make_gymnasium(
             job.id,
             num_envs=job.lanes,
             num_threads=os.cpu_count() or 1,
             seed=job.seed,
-            max_episode_steps=limit,
+            max_episode_steps=job.horizon,
         )
         self.actions = int(self.env.action_space.n)
         self.random = np.random.default_rng(job.seed)
-        self._start(limit)
+        self._start(min(job.horizon, ENVPOOL_AGES))
+        self.run()
 
-    def _start(self, limit: int) -> None:
+    def _start(self, oldest: int) -> None:
         self.env.reset()
         # Sixteen groups begin one after the other, so that episodes are of different ages.
         for group in np.array_split(np.arange(self.lanes, dtype=np.int32), 16):
-            for _ in range(limit // 16):
+            for _ in range(oldest // 16):
                 self.env.step(self._draw())
             self.env.reset(group)
 
@@ -344,10 +343,10 @@ class EnvPoolLoop(_Host):
         return time.perf_counter() - begun
 
 
-def _minigrid(job: Job) -> tuple[Running, int]:
+def _minigrid(job: Job) -> tuple[Running, Facts]:
     _require("minigrid")
     lanes = min(job.lanes, PYTHON_LANES)
-    return MiniGridLoop(job, lanes), lanes
+    return MiniGridLoop(job, lanes), {"lanes": lanes}
 
 
 class MiniGridLoop(_Host):
@@ -368,6 +367,7 @@ class MiniGridLoop(_Host):
         for lane, env in enumerate(self.envs):
             env.reset(seed=job.seed + lane)
             env.step_count = int(self.random.integers(env.max_steps))
+        self.run()
 
     def run(self) -> float:
         """Runs one repeat; returns the seconds it took."""
@@ -427,8 +427,8 @@ SYSTEMS = {
 PEERS = tuple(name for name in SYSTEMS if name != "jaxact")
 
 
-def build(job: Job) -> tuple[Running, int]:
-    """Starts a system; returns it and how many lanes it runs.
+def build(job: Job) -> tuple[Running, Facts]:
+    """Starts a system; returns it and facts about it, see `System`.
 
     Raises:
       Unsupported: the peer is not installed, or lacks the id.

@@ -3,7 +3,8 @@
 Random actions, every observation consumed, episodes of different ages, fresh levels at turnover.
 Each system runs in a process of its own, compiled and warm before the first repeat; then the
 repeats go round the systems, so that whatever else the machine does falls on all alike. Prints
-lines of JSON: the machine, one line for each world and system, and ratios.
+lines of JSON: the machine, one line for each world and system, ratios, and of several worlds a
+summary.
 """
 
 from __future__ import annotations
@@ -14,13 +15,16 @@ import statistics
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass
+from contextlib import ExitStack, nullcontext, suppress
+from dataclasses import asdict, dataclass, replace
+from itertools import chain
+from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO, Any, Self
+from typing import IO, Self
 
 import tyro
 
+from benchmarks.env_lines import Line, Worlds, by_world, ratios, read, summaries
 from benchmarks.env_systems import PEERS, SYSTEMS, Job
 from jaxact.errors import JaxactError, unknown
 
@@ -31,8 +35,6 @@ DEFAULT_IDS = (
     "BabyAI-GoToLocal-v0",
 )
 PROGRAM = "benchmarks.env_throughput"
-
-Line = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,9 @@ class Arguments:
     variants: bool = True
     """Try each system in all its variants (for JAX systems: XLA flags) and report the fastest;
     without, the first one only."""
+    output: Path | None = None
+    """File for the lines, too, each as soon as it is there. Worlds that are in it already, from a
+    run that was stopped, are not measured again."""
 
 
 class Worker:
@@ -131,29 +136,56 @@ def main() -> None:
     """Runs the command line."""
     arguments = tyro.cli(Arguments, prog=f"python -m {PROGRAM}")
     try:
-        for line in measure(arguments):
-            print(json.dumps(line), flush=True)
+        lines = measure(arguments, read(arguments.output) if arguments.output else [])
+        first = next(lines)  # All has been checked then, and the file may be written anew.
+        with arguments.output.open("w") if arguments.output else nullcontext() as file:
+            for line in chain([first], lines):
+                for stream in (sys.stdout, file):
+                    if stream is not None:
+                        print(json.dumps(line), file=stream, flush=True)
     except JaxactError as error:
         print(f"{PROGRAM}: {error}", file=sys.stderr)
         sys.exit(2)
 
 
-def measure(arguments: Arguments) -> Iterator[Line]:
-    """Yields the machine's line, one line for each world, number of lanes and system, and ratios.
+def measure(arguments: Arguments, before: list[Line]) -> Iterator[Line]:
+    """Yields the machine's line, one for each world, number of lanes and system, and the results.
+
+    Args:
+      arguments: what to measure.
+      before: lines of a run that was stopped.
 
     Raises:
-      JaxactError: an id, a peer or a number that cannot be.
+      JaxactError: an id, a peer or a number that cannot be, or a run before that was another.
     """
     ids = check(arguments)
     machine = describe_machine(arguments)
+    if before and before[0] != machine:
+        raise JaxactError(
+            f"{arguments.output} is of another machine, or of other steps, repeats, seed or "
+            "variants; give another --output"
+        )
     yield machine
-    results: list[Line] = []
+    done = {
+        key: lines
+        for key, lines in by_world(before).items()
+        if [line["system"] for line in lines] == ["jaxact", *arguments.peers]
+        and "error" not in lines[0]
+    }
+    for lines in done.values():
+        yield from lines
+    worlds: Worlds = {}
     for lanes in arguments.lanes:
         for name in ids:
-            lines = measure_world(arguments, machine, name, lanes)
-            yield from lines
-            results += ratios(lines)
-    yield from results
+            worlds[lanes, name] = done.get((lanes, name), [])
+            if not worlds[lanes, name]:
+                worlds[lanes, name] = measure_world(arguments, machine, name, lanes)
+                yield from worlds[lanes, name]
+    for lines in worlds.values():
+        yield from ratios(lines)
+    if len(ids) > 1:
+        for lanes in arguments.lanes:
+            yield from summaries([worlds[lanes, name] for name in ids])
 
 
 def check(arguments: Arguments) -> list[str]:
@@ -185,29 +217,36 @@ def describe_machine(arguments: Arguments) -> Line:
     job = Job("", "machine", 0, 0, 0, 1, "")
     with Worker(job, {}) as worker:
         worker.start()
-        settings = {"steps": arguments.steps, "repeats": arguments.repeats}
-        return worker.facts | settings
+        settings = ("steps", "repeats", "seed", "variants")
+        return worker.facts | {name: getattr(arguments, name) for name in settings}
 
 
 def measure_world(arguments: Arguments, machine: Line, name: str, lanes: int) -> list[Line]:
     """Returns one line for each system, measured in turns."""
     with ExitStack() as stack:
-        systems = {
-            system: [
-                stack.enter_context(start_worker(arguments, machine, name, system, lanes, variant))
+
+        def start(system: str, horizon: int = 0) -> list[Worker]:
+            job = Job(name, system, lanes, arguments.steps, arguments.seed, 1, "", horizon)
+            group = [
+                stack.enter_context(make_worker(arguments, machine, replace(job, variant=variant)))
                 for variant in variants_of(arguments, machine, system)
             ]
-            for system in ("jaxact", *arguments.peers)
-        }
-        workers = [worker for group in systems.values() for worker in group]
-        for worker in workers:
-            worker.start()
+            for worker in group:
+                worker.start()
+            return group
+
+        groups = [start("jaxact")]
+        # Peers' episodes are as long as jaxact's.
+        horizons = [worker.facts["horizon"] for worker in groups[0] if worker.works]
+        if horizons:
+            groups += [start(peer, horizons[0]) for peer in arguments.peers]
+        workers = [worker for group in groups for worker in group]
         for _ in range(arguments.repeats):
             for worker in workers:
                 worker.repeat()
         for worker in workers:
             worker.finish()
-        return [summarise(group) for group in systems.values()]
+        return [summarise(group) for group in groups]
 
 
 def variants_of(arguments: Arguments, machine: Line, system: str) -> tuple[str, ...]:
@@ -219,24 +258,21 @@ def variants_of(arguments: Arguments, machine: Line, system: str) -> tuple[str, 
     return variants if arguments.variants else variants[:1]
 
 
-def start_worker(
-    arguments: Arguments, machine: Line, name: str, system: str, lanes: int, variant: str
-) -> Worker:
-    """Starts the process that measures one variant of one system."""
-    devices, environment = 1, {}
-    if SYSTEMS[system].is_jax:
+def make_worker(arguments: Arguments, machine: Line, job: Job) -> Worker:
+    """Returns the process that measures one variant of one system, its steps and devices chosen."""
+    devices, environment, lanes = 1, {}, job.lanes
+    if SYSTEMS[job.system].is_jax:
         on_cpu = machine.get("platform") == "cpu"
         present = machine["cores"] if on_cpu else machine.get("devices", 1)
         # Without a number from the user: as many as there are, if the lanes can be shared out.
         devices = arguments.devices or (present if lanes % present == 0 else 1)
-        flags = f"{os.environ.get('XLA_FLAGS', '')} {variant}".strip()
+        flags = f"{os.environ.get('XLA_FLAGS', '')} {job.variant}".strip()
         environment = {"XLA_FLAGS": flags, "JAX_NUM_CPU_DEVICES": str(devices)}
         if devices > 1:
             # Shardy of jaxlib 0.10 cannot compile philox ("Unable to convert MHLO to StableHLO").
             environment["JAX_USE_SHARDY_PARTITIONER"] = "false"
-    steps = max(1, round(arguments.steps * SYSTEMS[system].share))
-    job = Job(name, system, lanes, steps, arguments.seed, devices, variant)
-    return Worker(job, environment)
+    steps = max(1, round(job.steps * SYSTEMS[job.system].share))
+    return Worker(replace(job, steps=steps, devices=devices), environment)
 
 
 def summarise(group: list[Worker]) -> Line:
@@ -272,24 +308,6 @@ def summarise(group: list[Worker]) -> Line:
 
 def _rate(worker: Worker, seconds: float) -> float:
     return round(worker.facts["lanes"] * worker.job.steps / seconds, 1)
-
-
-def ratios(lines: list[Line]) -> list[Line]:
-    """Returns how many times faster than each peer jaxact is, of lines from one world's run."""
-    ours, *peers = lines
-    return [
-        {
-            "id": ours["id"],
-            "lanes": ours["lanes"],
-            "ratio_to": peer["system"],
-            "ratio": round(ours["steps_per_second"] / peer["steps_per_second"], 2),
-            "ratio_median": round(
-                ours["steps_per_second_median"] / peer["steps_per_second_median"], 2
-            ),
-        }
-        for peer in peers
-        if "steps_per_second" in ours and "steps_per_second" in peer
-    ]
 
 
 if __name__ == "__main__":

@@ -31,8 +31,7 @@ def main() -> None:
         _say(answers, machine())
         return
     try:
-        running, lanes = build(Job(**job))
-        running.run()
+        running, facts = build(Job(**job))
     except Unsupported as error:
         _say(answers, {"unsupported": str(error)})
         return
@@ -40,7 +39,7 @@ def main() -> None:
         _say(answers, {"error": f"{type(error).__name__}: {error}"})
         return
     before = running.tallies()
-    _say(answers, {"lanes": lanes, "compile_seconds": running.compile_seconds})
+    _say(answers, facts | {"compile_seconds": running.compile_seconds})
     for _ in sys.stdin:
         _say(answers, {"seconds": running.run()})
     after = running.tallies()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Protocol
 
@@ -30,7 +30,12 @@ class World(Protocol):
     action_space: Space
 
     def begin(self, key: jax.Array, lanes: int) -> tuple[PyTree, PyTree]:
-        """Returns lanes in progress, their episodes of different ages, and what is seen there."""
+        """Returns lanes, whose first episodes may begin only after the first step, and what is
+        seen there."""
+        ...
+
+    def age(self, state: PyTree, share: jax.Array) -> PyTree:
+        """Returns the lanes with shares, float32[lanes], of their episodes' time used up."""
         ...
 
     def step(
@@ -87,7 +92,9 @@ class Loop:
 
 
 def compile_loop(world: World, seed: int, prng: str, lanes: int, steps: int, devices: int) -> Loop:
-    """Starts the lanes and compiles `steps` steps of them.
+    """Starts the lanes, compiles `steps` steps of them, and runs these once.
+
+    Then episodes are made to be of different ages.
 
     Raises:
       JaxactError: the lanes cannot be divided among the devices.
@@ -106,7 +113,12 @@ def compile_loop(world: World, seed: int, prng: str, lanes: int, steps: int, dev
         go = jax.shard_map(go, mesh=mesh, in_specs=specs, out_specs=specs, check_vma=False)
     begun = time.perf_counter()
     program = jax.jit(go, donate_argnums=0).lower(carry).compile()
-    return Loop(program, carry, time.perf_counter() - begun)
+    loop = Loop(program, carry, time.perf_counter() - begun)
+    loop.run()
+    shares = np.random.default_rng(seed).random(lanes, np.float32)
+    aged = jax.jit(world.age)(loop.carry.state, jax.device_put(shares, spread))
+    loop.carry = replace(loop.carry, state=aged)
+    return loop
 
 
 def _start(world: World, key: jax.Array, *, lanes: int, devices: int) -> Carry:

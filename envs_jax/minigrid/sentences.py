@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from envs_jax.minigrid import tiles
-from envs_jax.minigrid.environment import DOORS, heading, is_kind
+from envs_jax.minigrid.environment import DOORS, is_kind
 from envs_jax.minigrid.instructions import (
     AFTER,
     GO_TO,
@@ -34,6 +34,11 @@ ANY_KIND, ANY_COLOR, ANYWHERE = tiles.UNSEEN, -1, 0
 ON_THE_LEFT, ON_THE_RIGHT, IN_FRONT, BEHIND = range(1, 5)
 DOOR = tiles.OPEN_DOOR
 
+# Quarter turns to the right, from where the agent looks to where these are.
+_TURNS = (0, 3, 1, 0, 2)
+# The headings that cut off the first x, the last x, the first y and the last y of a room.
+_CUT_ON = (0, 2, 1, 3)
+_EVERYWHERE = (0, 2**30, 0, 2**30)
 _PLACES = ("", "on your left", "on your right", "in front of you", "behind you")
 _VERBS = {NOTHING: "", GO_TO: "go to", OPEN: "open", PICK_UP: "pick up", PUT_NEXT: "put"}
 _JOINTS = ("", "and", ", then", "after you")
@@ -67,17 +72,22 @@ class Description(NamedTuple):
     color: jax.Array
     location: jax.Array
 
-    def fits(self, codes: jax.Array, places: jax.Array) -> jax.Array:
-        """Returns bool[...], of which objects one description is true.
+    def fits(self, codes: jax.Array, x: jax.Array, y: jax.Array, places: jax.Array) -> jax.Array:
+        """Returns bool[...], of which objects it is true.
 
         Args:
           codes: uint8[...] packed tiles.
-          places: bool[5, ...], which locations each of them has; see `located`.
+          x: int32[...], where they are.
+          y: int32[...]; both can be broadcast to `codes`.
+          places: int32[5, 4], see `located`.
         """
         kinds = kind_of(codes)
         fits = (kinds == self.kind) | ((self.kind == ANY_KIND) & (kinds != tiles.EMPTY))
         fits &= (color_of(codes) == self.color) | (self.color == ANY_COLOR)
-        return fits & places[self.location]
+        numbers = jnp.arange(len(_PLACES), dtype=jnp.int32)[:, None]
+        # A sum rather than a look-up: XLA would repeat that for each object.
+        place = jnp.sum(jnp.where(numbers == self.location, places, 0), axis=0, dtype=jnp.int32)
+        return fits & inside(place, x, y)
 
 
 def kind_of(code: jax.Array) -> jax.Array:
@@ -90,19 +100,28 @@ def color_of(code: jax.Array) -> jax.Array:
     return (code >> tiles.COLOR_SHIFT).astype(jnp.int32)
 
 
-def located(
-    x: jax.Array, y: jax.Array, position: jax.Array, direction: jax.Array, room_size: int
-) -> jax.Array:
-    """Returns bool[5, ...]: which locations cells (x, y) have; see `Description`."""
+def located(position: jax.Array, direction: jax.Array, room_size: int) -> jax.Array:
+    """Returns int32[5, 4], the first and the last x and y of each location; see `Description`.
+
+    Args:
+      position: int32[2], the agent's.
+      direction: int32 scalar, the agent's.
+      room_size: edge of the rooms, walls included.
+    """
     pitch = room_size - 1
-    left, top = x - position[0] // pitch * pitch, y - position[1] // pitch * pitch
-    in_room = (left >= 0) & (left <= pitch) & (top >= 0) & (top <= pitch)
-    forward = heading(direction)
-    away_x, away_y = x - position[0], y - position[1]
-    ahead = away_x * forward[0] + away_y * forward[1]
-    aside = away_y * forward[0] - away_x * forward[1]
-    places = [aside < 0, aside > 0, ahead > 0, ahead < 0]
-    return jnp.stack([jnp.ones_like(in_room), *(in_room & place for place in places)])
+    left, top = position[0] // pitch * pitch, position[1] // pitch * pitch
+    room = jnp.stack([left, left + pitch, top, top + pitch])
+    # The room cut off beside the agent: all but what is to the right of it, below, …
+    cut = jnp.stack([position[0] + 1, position[0] - 1, position[1] + 1, position[1] - 1])
+    sides = (direction + jnp.array(_TURNS, jnp.int32)) % 4
+    limits = jnp.where(sides[:, None] == jnp.array(_CUT_ON, jnp.int32), cut, room)
+    anywhere = jnp.arange(len(_PLACES), dtype=jnp.int32)[:, None] == ANYWHERE
+    return jnp.where(anywhere, jnp.array(_EVERYWHERE, jnp.int32), limits)
+
+
+def inside(place: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:
+    """Returns bool[...], which cells (x, y) a rectangle int32[4] contains; see `located`."""
+    return (x >= place[0]) & (x <= place[1]) & ((y >= place[2]) & (y <= place[3]))
 
 
 class Sentence(NamedTuple):
@@ -145,21 +164,24 @@ class Sentence(NamedTuple):
         ways = jnp.where(self.verbs == PUT_NEXT, 2, jnp.where(self.verbs == NOTHING, 0, 1))
         return jnp.sum(ways, dtype=jnp.int32)
 
-    def marks(self, things: jax.Array, places: jax.Array) -> jax.Array:
+    def marks(self, things: jax.Array, places: jax.Array, height: int) -> jax.Array:
         """Returns the marks uint16[width, height] of what the clauses are about.
 
         Args:
-          things: bool[n, width, height], where objects are that fit `things`.
+          things: uint32[n, width], where objects are that fit `things`, bit y for cell y.
           places: the same for `places`.
+          height: cells of the grid along y.
         """
         handles = (self.verbs == OPEN) | (self.verbs == PICK_UP) | (self.verbs == PUT_NEXT)
         goes = (self.verbs == GO_TO) | (self.verbs == PUT_NEXT)
-        marks = jnp.zeros(things.shape[1:], jnp.uint16)
+        y = jnp.arange(height, dtype=jnp.uint32)
+        marks = jnp.zeros((things.shape[1], height), jnp.uint32)
         for clause in range(len(self.verbs)):
-            place, thing = jnp.uint16(1 << clause), jnp.uint16(1 << clause + MAX_CLAUSES)
-            marks |= jnp.where(places[clause] & goes[clause], place, jnp.uint16(0))
-            marks |= jnp.where(things[clause] & handles[clause], thing, jnp.uint16(0))
-        return marks
+            place = jnp.where(goes[clause], places[clause], jnp.uint32(0))
+            thing = jnp.where(handles[clause], things[clause], jnp.uint32(0))
+            marks |= (place[:, None] >> y & 1) << clause
+            marks |= (thing[:, None] >> y & 1) << clause + MAX_CLAUSES
+        return marks.astype(jnp.uint16)
 
     def mission(self, things: jax.Array, places: jax.Array, length: int) -> jax.Array:
         """Returns the mission's tokens int32[length], padded at the end.

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from benchmarks.env_throughput import ratios
+from benchmarks.env_lines import by_world, ratios, read, summaries
 
 
 def _run(*arguments):
@@ -46,15 +46,59 @@ def test_bad_input_is_explained_in_a_sentence(arguments, sentence):
     assert "Traceback" not in done.stderr
 
 
-def test_ratios_leave_out_what_was_not_measured():
-    def line(system, **facts):
-        return {"id": "w", "system": system, "lanes": 8, **facts}
+def line(system, rate=None, name="w", **facts):
+    """A line of 8 lanes; without a rate, of what was not measured."""
+    if rate is not None:
+        facts |= {"steps_per_second": rate, "steps_per_second_median": rate - 1}
+    return {"id": name, "system": system, "lanes": 8, **facts}
 
+
+def test_ratios_leave_out_what_was_not_measured():
     lines = [
-        line("jaxact", steps_per_second=9.0, steps_per_second_median=8.0),
-        line("navix", steps_per_second=3.0, steps_per_second_median=2.0),
+        line("jaxact", 9.0),
+        line("navix", 3.0),
         line("envpool", unsupported="no such world"),
     ]
     assert ratios(lines) == [
         {"id": "w", "lanes": 8, "ratio_to": "navix", "ratio": 3.0, "ratio_median": 4.0}
     ]
+
+
+def test_summaries_are_of_what_was_measured():
+    def world(name, rate, seconds, **peer):
+        return [line("jaxact", rate, name, compile_seconds=seconds), line("envpool", **peer)]
+
+    rates = {"a": 8.0, "b": 20.0, "c": 4.0, "d": 6.0, "e": 50.0, "f": 5.0, "g": 7.0}
+    worlds = [world(name, rate, rate / 2, unsupported="no") for name, rate in rates.items()]
+    worlds[0][1] = line("envpool", 4.0)
+    worlds[4][1] = line("envpool", 6.25)
+    worlds.append([line("jaxact", name="h", error="lost")])
+    assert summaries(worlds) == [
+        {"lanes": 8, "summary": "median", "worlds": 7, "steps_per_second": 7.0},
+        {
+            "lanes": 8,
+            "summary": "slowest",
+            "steps_per_second": {"c": 4.0, "f": 5.0, "d": 6.0, "g": 7.0, "a": 8.0},
+        },
+        {"lanes": 8, "summary": "compilation", "longest": {"e": 25.0}},
+        {
+            "lanes": 8,
+            "summary": "ratio",
+            "ratio_to": "envpool",
+            "worlds": 2,
+            "geometric_mean": 4.0,
+            "least": {"a": 2.0},
+            "greatest": {"e": 8.0},
+        },
+        {"lanes": 8, "summary": "failed", "ids": ["h"]},
+    ]
+
+
+def test_worlds_of_a_run_that_was_stopped_are_found_in_its_file(tmp_path):
+    whole = [line("jaxact", 9.0, "a"), line("envpool", 3.0, "a")]
+    half = [line("jaxact", 9.0, "b")]
+    texts = map(json.dumps, [{"system": "machine"}, *whole, *half, *ratios(whole)])
+    path = tmp_path / "lines.jsonl"
+    path.write_text("\n".join(texts) + '\n{"id": "c", "syst')
+    assert by_world(read(path)) == {(8, "a"): whole, (8, "b"): half}
+    assert read(tmp_path / "none.jsonl") == []

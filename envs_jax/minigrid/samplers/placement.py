@@ -73,8 +73,52 @@ def choose_ranked(rank: jax.Array, counts: jax.Array) -> tuple[jax.Array, jax.Ar
       counts: int32[n], the ranges' sizes.
     """
     ends = _running_sums(counts)
-    chosen = jnp.sum(ends <= rank, dtype=jnp.int32)
-    return chosen, rank - jnp.where(chosen > 0, ends[chosen - 1], 0)
+    before = ends <= rank
+    return jnp.sum(before, dtype=jnp.int32), rank - jnp.max(jnp.where(before, ends, 0))
+
+
+def ranked_cell(rank: jax.Array, rows: jax.Array, height: int) -> jax.Array:
+    """Returns the cell, int32[2], of a rank among those packed by `packed_rows`.
+
+    Args:
+      rank: int32 scalar, below the number of cells.
+      rows: uint32[width].
+      height: how many bits of them can be set.
+    """
+    bits = rows[:, None] >> jnp.arange(height, dtype=jnp.uint32) & 1
+    x, left = choose_ranked(rank, jnp.sum(bits.astype(jnp.int32), axis=1, dtype=jnp.int32))
+    row = entry(rows, x)
+    up_to = np.array([(2 << y) - 1 for y in range(height)], np.uint32)
+    y = jnp.sum(bit_counts(row & up_to) <= left, dtype=jnp.int32)
+    return jnp.stack([x, y])
+
+
+def choose_packed(draw: jax.Array, rows: jax.Array, height: int) -> tuple[jax.Array, jax.Array]:
+    """Does what `choose_cell` does, with cells packed by `packed_rows` into uint32[width]."""
+    total = jnp.sum(bit_counts(rows), dtype=jnp.int32)
+    return ranked_cell(uniform_int(draw, 0, total), rows, height), total > 0
+
+
+def without(rows: jax.Array, cell: jax.Array) -> jax.Array:
+    """Returns packed cells uint32[width] without the cell int32[2]."""
+    here = jnp.arange(rows.shape[0], dtype=jnp.int32) == cell[0]
+    return rows & ~jnp.where(here, jnp.uint32(1) << cell[1].astype(jnp.uint32), jnp.uint32(0))
+
+
+def entry(values: jax.Array, index: jax.Array | int) -> jax.Array:
+    """Returns values[index], of a few unsigned integers or arrays of them.
+
+    Under `vmap` with an index for each lane it is much cheaper than a gather.
+    """
+    if isinstance(index, int):
+        return values[index]
+    places = jnp.arange(values.shape[0], dtype=jnp.int32).reshape(-1, *[1] * (values.ndim - 1))
+    return jnp.max(jnp.where(places == index, values, jnp.zeros_like(values)), axis=0)
+
+
+def bit_counts(words: jax.Array) -> jax.Array:
+    """Returns how many bits of each uint32 are set, int32."""
+    return jax.lax.population_count(words).astype(jnp.int32)
 
 
 def _running_sums(counts: jax.Array) -> jax.Array:
@@ -106,17 +150,17 @@ def objects_reachable(plane: jax.Array, position: jax.Array) -> jax.Array:
     door = (kinds == tiles.OPEN_DOOR) | (
         (kinds >= tiles.CLOSED_DOOR) & (kinds <= tiles.OPEN_LOCKED_DOOR)
     )
-    open_rows = _rows((kinds == tiles.EMPTY) | door)
-    objects = _rows((kinds != tiles.EMPTY) & (kinds != tiles.WALL))
-    start = _rows(at(position, plane.shape))
+    open_rows = packed_rows((kinds == tiles.EMPTY) | door)
+    objects = packed_rows((kinds != tiles.EMPTY) & (kinds != tiles.WALL))
+    start = packed_rows(at(position, plane.shape))
 
     def grow(rows: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        return rows[1], rows[1] | _spread(rows[1]) & open_rows
+        return rows[1], rows[1] | spread(rows[1]) & open_rows
 
     reached, _ = jax.lax.while_loop(
         lambda rows: jnp.any(rows[0] != rows[1]), grow, (jnp.zeros_like(start), start)
     )
-    return jnp.all(objects & ~_spread(reached) == 0)
+    return jnp.all(objects & ~spread(reached) == 0)
 
 
 def largest_component(free: jax.Array) -> jax.Array:
@@ -143,7 +187,7 @@ def largest_component(free: jax.Array) -> jax.Array:
         parts: tuple[jax.Array, jax.Array, jax.Array],
     ) -> tuple[jax.Array, jax.Array, jax.Array]:
         part, left, largest = parts
-        grown = part | _spread(part) & left
+        grown = part | spread(part) & left
         whole = jnp.all(grown == part)
         larger = whole & (count(part) > count(largest))
         left = jnp.where(whole, left & ~part, left)
@@ -153,7 +197,7 @@ def largest_component(free: jax.Array) -> jax.Array:
             jnp.where(larger, part, largest),
         )
 
-    rows = _rows(free)
+    rows = packed_rows(free)
     _, _, largest = jax.lax.while_loop(
         lambda parts: count(parts[1]) > count(parts[2]),
         grow,
@@ -163,17 +207,17 @@ def largest_component(free: jax.Array) -> jax.Array:
     return (largest[:, None] >> bits[None, :]) & 1 == 1
 
 
-def _spread(rows: jax.Array) -> jax.Array:
-    """Returns the cells packed by `_rows`, and those beside them."""
+def spread(rows: jax.Array) -> jax.Array:
+    """Returns the cells packed by `packed_rows`, and those beside them."""
     edge = jnp.zeros((1,), rows.dtype)
     beside = jnp.concatenate([rows[1:], edge]) | jnp.concatenate([edge, rows[:-1]])
     return rows | rows << 1 | rows >> 1 | beside
 
 
-def _rows(cells: jax.Array) -> jax.Array:
-    """Packs bool[width, height] into uint32[width], bit y for cell y (height ≤ 32)."""
-    bits = jnp.uint32(1) << jnp.arange(cells.shape[1], dtype=jnp.uint32)
-    return jnp.sum(jnp.where(cells, bits, jnp.uint32(0)), axis=1, dtype=jnp.uint32)
+def packed_rows(cells: jax.Array) -> jax.Array:
+    """Packs bool[..., height] into uint32[...], bit y for cell y (height ≤ 32)."""
+    bits = jnp.uint32(1) << jnp.arange(cells.shape[-1], dtype=jnp.uint32)
+    return jnp.sum(jnp.where(cells, bits, jnp.uint32(0)), axis=-1, dtype=jnp.uint32)
 
 
 def until_valid(key: jax.Array, draw: Callable[[jax.Array], tuple[Any, jax.Array]]) -> Any:

@@ -242,18 +242,34 @@ class RoomGrid:
 
     def place_agent(self, layout: Layout, room: Room, draw: jax.Array) -> Layout:
         """Puts the agent into a room, its heading random, but never with a thing right ahead."""
-        size = self.room_size
-        plane = jnp.pad(layout.plane, 1, constant_values=tiles.WALL_TILE)
-        corner = self._corner(room)
-        around = jax.lax.dynamic_slice(plane, corner, (size + 2, size + 2))
-        empty = around == tiles.EMPTY_TILE
-        clear = empty | (around & tiles.TYPE_MASK == tiles.WALL)
-        inside = slice(1, -1)
-        ahead = [clear[2:, inside], clear[inside, 2:], clear[:-2, inside], clear[inside, :-2]]
-        poses = jnp.concatenate([empty[inside, inside] & sight for sight in ahead])
-        pose, found = placement.choose_cell(draw, poses)
-        cell = jnp.stack([pose[0] % size + corner[0], pose[1] + corner[1]])
-        return layout._replace(agent=cell, direction=pose[0] // size, valid=layout.valid & found)
+        empty = placement.packed_rows(layout.plane == tiles.EMPTY_TILE)
+        clear = empty | placement.packed_rows(layout.plane & tiles.TYPE_MASK == tiles.WALL)
+        beyond = jnp.full(1, ~np.uint32(0))  # Walls, too.
+        ahead = [
+            jnp.concatenate([clear[1:], beyond]),
+            clear >> 1 | jnp.uint32(1 << self.height - 1),
+            jnp.concatenate([beyond, clear[:-1]]),
+            clear << 1 | 1,
+        ]
+        poses = self._part(empty & jnp.stack(ahead), room)
+        counts = jnp.sum(placement.bit_counts(poses), axis=1, dtype=jnp.int32)
+        total = jnp.sum(counts, dtype=jnp.int32)
+        rank = placement.uniform_int(draw, 0, total)
+        direction, rank = placement.choose_ranked(rank, counts)
+        rows = placement.entry(poses, direction)
+        cell = placement.ranked_cell(rank, rows, self.room_size) + jnp.stack(self._corner(room))
+        return layout._replace(agent=cell, direction=direction, valid=layout.valid & (total > 0))
+
+    def _part(self, rows: jax.Array, room: Room) -> jax.Array:
+        """Returns a room's part, uint32[..., room_size], of a grid packed into uint32[..., width].
+
+        In both, bits are cells along y, from the grid's and from the room's upper wall on.
+        """
+        starts = range(0, self.columns * self._pitch, self._pitch)
+        parts = jnp.stack([rows[..., start : start + self.room_size] for start in starts])
+        _, top = self._corner(room)
+        within = jnp.uint32(2**self.room_size - 1)
+        return placement.entry(parts, room[0]) >> top.astype(jnp.uint32) & within
 
     def connect_all(
         self, layout: Layout, draws: jax.Array, colors: jax.Array | None = None
@@ -327,17 +343,37 @@ class RoomGrid:
         Returns:
           The layout, and the objects in the order in which they were placed.
         """
+        # While they are placed, cells and looks are bits.
+        near = placement.spread(
+            placement.packed_rows(placement.at(layout.agent, (self.width, self.height)))
+        )
+        free = placement.packed_rows(layout.plane == tiles.EMPTY_TILE) & ~near
+        looks = placement.packed_rows(~layout.used if unique else jnp.ones_like(layout.used))
 
-        def add(layout: Layout, pair: jax.Array) -> tuple[Layout, Placed]:
+        def add(
+            state: tuple[jax.Array, jax.Array, jax.Array], pair: jax.Array
+        ) -> tuple[tuple[jax.Array, jax.Array, jax.Array], Placed]:
+            free, looks, valid = state
             where, draw = self.random_room(pair[0]) if room is None else (room, pair[0])
-            allowed = ~layout.used if unique else jnp.ones_like(layout.used)
-            look, found = placement.choose_cell(draw, allowed)
+            look, any_look = placement.choose_packed(draw, looks, tiles.NUM_COLORS)
+            cells = self._part(free, where)
+            cell, any_cell = placement.choose_packed(pair[1], cells, self.room_size)
+            cell += jnp.stack(self._corner(where))
+            if unique:
+                looks = placement.without(looks, look)
             code = packed(tiles.KEY + look[0], look[1])
-            layout, cell = self.place(layout, where, code, pair[1])
-            layout = layout._replace(valid=layout.valid & found)
-            return layout, Placed(code, cell, jnp.stack([jnp.asarray(n, jnp.int32) for n in where]))
+            placed = Placed(code, cell, jnp.stack([jnp.asarray(n, jnp.int32) for n in where]))
+            return (placement.without(free, cell), looks, valid & any_look & any_cell), placed
 
-        return jax.lax.scan(add, layout, draws)
+        (_, _, valid), placed = jax.lax.scan(add, (free, looks, layout.valid), draws)
+        numbers = placed.codes.astype(jnp.int32)
+        kinds, colors = (numbers & tiles.TYPE_MASK) - tiles.KEY, numbers >> tiles.COLOR_SHIFT
+        layout = layout._replace(
+            plane=layout.plane.at[placed.cells[:, 0], placed.cells[:, 1]].set(placed.codes),
+            used=layout.used.at[kinds, colors].set(True),
+            valid=valid,
+        )
+        return layout, placed
 
     def _corner(self, room: Room) -> tuple[jax.Array, jax.Array]:
         """Returns the room's upper left cell, on its walls."""

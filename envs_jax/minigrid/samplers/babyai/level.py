@@ -99,9 +99,12 @@ class LevelSampler(TaskSampler):
         """Returns the episode of a valid level."""
         things, places = matches(self.grid, layout, sentence)
         several_things, several_places = (
-            jnp.sum(cells, axis=(1, 2), dtype=jnp.int32) > 1 for cells in (things, places)
+            jnp.sum(placement.bit_counts(cells), axis=1, dtype=jnp.int32) > 1
+            for cells in (things, places)
         )
-        layout = layout._replace(marks=layout.marks | sentence.marks(things, places))
+        layout = layout._replace(
+            marks=layout.marks | sentence.marks(things, places, self.grid.height)
+        )
         if self.max_steps is None:
             area = self.grid.room_size**2 * self.grid.columns * self.grid.rows
             horizon = area * sentence.errands()
@@ -121,12 +124,13 @@ class LevelSampler(TaskSampler):
 
 
 def matches(grid: RoomGrid, layout: Layout, sentence: Sentence) -> tuple[jax.Array, jax.Array]:
-    """Returns bool[n, width, height] twice: where the things and the places of n clauses are."""
-    x, y = jnp.indices(layout.plane.shape, jnp.int32)
-    places = located(x, y, layout.agent, layout.direction, grid.room_size)
+    """Returns where the things and the places of n clauses are, packed into uint32[n, width]."""
+    x = jnp.arange(grid.width, dtype=jnp.int32)[:, None]
+    y = jnp.arange(grid.height, dtype=jnp.int32)
+    places = located(layout.agent, layout.direction, grid.room_size)
 
     def find(what: Description) -> jax.Array:
-        return what.fits(layout.plane, places)
+        return placement.packed_rows(what.fits(layout.plane, x, y, places))
 
     return jax.vmap(find)(sentence.things), jax.vmap(find)(sentence.places)
 
@@ -175,35 +179,13 @@ def leave_out(said: jax.Array, one: Sentence) -> Sentence:
     )
 
 
-def put_next_is_possible(
-    grid: RoomGrid,
-    layout: Layout,
-    sentence: Sentence,
-    codes: jax.Array,
-    cells: jax.Array,
-    here: jax.Array | bool = True,
-) -> jax.Array:
+def put_next_is_possible(grid: RoomGrid, layout: Layout, sentence: Sentence) -> jax.Array:
     """Returns a bool: in no clause that puts, a thing is a place or stands beside one already.
-
-    Args:
-      grid: the rooms.
-      layout: the level.
-      sentence: its instruction, of n clauses.
-      codes: uint8[m], the packed tiles of all objects and doors.
-      cells: int32[m, 2], where they are.
-      here: bool[m], which of them there are.
 
     Source: `RoomGridLevel.validate_instrs` of minigrid 3.2.0.
     """
-    x, y = cells[:, 0], cells[:, 1]
-    places = located(x, y, layout.agent, layout.direction, grid.room_size) & here
-    near = jnp.abs(x[:, None] - x[None]) + jnp.abs(y[:, None] - y[None]) <= 1
-
-    def clashes(thing: Description, place: Description) -> jax.Array:
-        put, beside = thing.fits(codes, places), place.fits(codes, places)
-        return jnp.any(put[:, None] & near & beside[None])
-
-    clash = jax.vmap(clashes)(sentence.things, sentence.places)
+    things, places = matches(grid, layout, sentence)
+    clash = jnp.any(things & jax.vmap(placement.spread)(places) != 0, axis=1)
     return ~jnp.any(clash & (sentence.verbs == PUT_NEXT))
 
 

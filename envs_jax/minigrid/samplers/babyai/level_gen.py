@@ -31,13 +31,14 @@ from envs_jax.minigrid.samplers.babyai.level import (
     put_next_is_possible,
     random_color,
 )
-from envs_jax.minigrid.samplers.room_grid import Layout, Placed, Room, packed
+from envs_jax.minigrid.samplers.room_grid import Layout, Room, packed
 from envs_jax.minigrid.sentences import (
     ANY_COLOR,
     DOOR,
     Description,
     Sentence,
     color_of,
+    inside,
     kind_of,
     located,
 )
@@ -123,19 +124,26 @@ class LevelGenSampler(LevelSampler):
         if not self.unblocking:
             valid &= placement.objects_reachable(layout.plane, layout.agent)
 
-        codes, cells, here = self._objects(layout, placed, key, is_locked)
-        fits = self._fits(layout, codes, cells, here)
+        doors = grid.door_cells(layout).reshape(-1, 2)
+        groups = [
+            (placed.codes, placed.cells, jnp.bool_(True)),
+            (layout.plane[doors[:, 0], doors[:, 1]], doors, layout.joined.reshape(-1)),
+        ]
+        if key is not None:
+            groups.append((key[0][None], key[1][None], is_locked))
+        fits = self._fits(layout, groups)
         if self.locked_room > 0 and not self.implicit_unlock:
-            inside = grid.in_room(locked)[cells[:, 0], cells[:, 1]] & is_locked
-            fits &= self._fits(layout, codes, cells, here & ~inside)
+            outside = [
+                (codes, cells, here & ~(grid.in_room(locked)[cells[:, 0], cells[:, 1]] & is_locked))
+                for codes, cells, here in groups
+            ]
+            fits &= self._fits(layout, outside)
         sentence, found = self._sentence(fits, verbs, descriptions, order)
         valid &= found
         if PUT_NEXT in self.verbs:
-            valid &= put_next_is_possible(grid, layout, sentence, codes, cells, here[None])
-        if self.unblocking and self.locked_room > 0:
-            locks = codes & tiles.TYPE_MASK == tiles.LOCKED_DOOR
-            color = jnp.max(jnp.where(locks & here, color_of(codes), 0))
-            valid &= ~(is_locked & _speaks_of_key(sentence, color))
+            valid &= put_next_is_possible(grid, layout, sentence)
+        if self.unblocking and key is not None:
+            valid &= ~(is_locked & _speaks_of_key(sentence, color_of(key[0])))
         return layout._replace(valid=valid), sentence
 
     def _lock(
@@ -175,69 +183,57 @@ class LevelGenSampler(LevelSampler):
         number += (is_locked & (number >= shut)).astype(jnp.int32)
         return (number // self.grid.rows, number % self.grid.rows), rest
 
-    def _objects(
-        self,
-        layout: Layout,
-        placed: Placed,
-        key: tuple[jax.Array, jax.Array] | None,
-        is_locked: jax.Array,
-    ) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Returns the tiles uint8[m] and cells int32[m, 2] of all objects and doors there may be.
-
-        And bool[m], which of them there are.
-        """
-        doors = self.grid.door_cells(layout).reshape(-1, 2)
-        joined = layout.joined.reshape(-1)
-        codes = [placed.codes, layout.plane[doors[:, 0], doors[:, 1]]]
-        cells = [placed.cells, doors]
-        here = [jnp.ones(len(placed.codes), bool), joined]
-        if key is not None:
-            codes.append(key[0][None])
-            cells.append(key[1][None])
-            here.append(is_locked[None])
-        return jnp.concatenate(codes), jnp.concatenate(cells), jnp.concatenate(here)
-
     def _fits(
-        self, layout: Layout, codes: jax.Array, cells: jax.Array, here: jax.Array
+        self, layout: Layout, groups: list[tuple[jax.Array, jax.Array, jax.Array]]
     ) -> jax.Array:
-        """Returns which descriptions fit anything `here`, bool[kinds, colours, locations]."""
-        kinds = jnp.array(_KINDS, jnp.int32)[:, None] == kind_of(codes)[None]
-        hues = jnp.array(_COLORS, jnp.int32)[:, None]
-        colors = (hues == ANY_COLOR) | (hues == color_of(codes)[None])
-        x, y = cells[:, 0], cells[:, 1]
-        places = located(x, y, layout.agent, layout.direction, self.grid.room_size)
-        looks = (kinds & here[None])[:, None, None] & colors[None, :, None]
-        return jnp.any(looks & places[None, None], axis=-1)
+        """Returns which descriptions fit anything, bool[kinds, colours, locations].
+
+        Args:
+          layout: the level.
+          groups: tiles uint8[n], cells int32[n, 2] and which of them there are, bool[n] or bool.
+        """
+        places = located(layout.agent, layout.direction, self.grid.room_size)
+        kinds = jnp.array(_KINDS, jnp.int32)[:, None, None]
+        present = jnp.zeros((len(_KINDS), _LOCATIONS), jnp.uint32)
+        for codes, cells, here in groups:
+            there = inside(places.T[..., None], cells[:, 0], cells[:, 1])
+            found = (kind_of(codes) == kinds) & there & here
+            color = jnp.uint32(1) << color_of(codes).astype(jnp.uint32)
+            present |= jax.lax.reduce_or(jnp.where(found, color, jnp.uint32(0)), axes=(2,))
+        # Sets of colours are bits; the first of `_COLORS` stands for all.
+        wanted = np.array([2**tiles.NUM_COLORS - 1, *(2**n for n in range(tiles.NUM_COLORS))])
+        return present[:, None] & wanted.astype(np.uint32)[:, None] != 0
+
+    @property
+    def _shares(self) -> tuple[int, ...]:
+        """How likely the locations are: half of the descriptions have none."""
+        return (4, 1, 1, 1, 1) if self.locations else (1, 0, 0, 0, 0)
 
     def _describe(
-        self, fits: jax.Array, kinds: jax.Array, draws: jax.Array
+        self, weights: jax.Array, kinds: jax.Array, draws: jax.Array
     ) -> tuple[Description, jax.Array]:
         """Returns a random description that fits something, and whether MiniGrid would find one.
 
         Args:
-          fits: bool[kinds, colours, locations], which do.
+          weights: int32[kinds, colours, locations], how likely those are that fit something.
           kinds: bool[kinds], the types that may be described.
           draws: float32[2].
         """
-        # Half of the descriptions have no location; the other half is shared by four.
-        shares = (4, 1, 1, 1, 1) if self.locations else (1, 0, 0, 0, 0)
-        weights = jnp.where(
-            fits & kinds[:, None, None], jnp.array(shares, jnp.int32)[None, None], 0
-        )
         # One part after the other: a running sum over all of the table would be slow.
         by_color = jnp.sum(weights, axis=2, dtype=jnp.int32)
-        by_kind = jnp.sum(by_color, axis=1, dtype=jnp.int32)
+        by_kind = jnp.where(kinds, jnp.sum(by_color, axis=1, dtype=jnp.int32), 0)
         total = jnp.sum(by_kind, dtype=jnp.int32)
         rank = placement.uniform_int(draws[0], 0, total)
         kind, rank = placement.choose_ranked(rank, by_kind)
         color, rank = placement.choose_ranked(rank, by_color[kind])
         location, _ = placement.choose_ranked(rank, weights[kind, color])
+        numbers = jnp.arange(len(_KINDS), dtype=jnp.int32)
         what = describe(
-            jnp.array(_KINDS, jnp.int32)[kind],
-            jnp.array(_COLORS, jnp.int32)[color],
+            jnp.sum(jnp.where(numbers == kind, jnp.array(_KINDS, jnp.int32), 0), dtype=jnp.int32),
+            color + ANY_COLOR,
             location,
         )
-        every = jnp.sum(kinds, dtype=jnp.int32) * (len(_COLORS) * sum(shares))
+        every = jnp.sum(kinds, dtype=jnp.int32) * (len(_COLORS) * sum(self._shares))
         hopeless = 1 - total.astype(jnp.float32) / every.astype(jnp.float32)
         return what, draws[1] >= hopeless**_TRIES
 
@@ -250,12 +246,12 @@ class LevelGenSampler(LevelSampler):
         opens = (choice == OPEN)[:, None]
         anything = jnp.ones_like(is_door)
         handled = jnp.where(choice[:, None] == GO_TO, anything, jnp.where(opens, is_door, ~is_door))
-        random = jax.vmap(self._describe, in_axes=(None, 0, 0))
-        things, known = random(fits, handled, descriptions[0])
-        places, places_known = random(
-            fits, jnp.broadcast_to(anything, handled.shape), descriptions[1]
-        )
-        known &= places_known | (choice != PUT_NEXT)
+        weights = jnp.where(fits, jnp.array(self._shares, jnp.int32)[None, None], 0)
+        kinds = jnp.stack([handled, jnp.broadcast_to(anything, handled.shape)])
+        random = jax.vmap(jax.vmap(self._describe, in_axes=(None, 0, 0)), in_axes=(None, 0, 0))
+        found, known = random(weights, kinds, descriptions)
+        things, places = (Description(*(part[which] for part in found)) for which in range(2))
+        known = known[0] & (known[1] | (choice != PUT_NEXT))
 
         def one(number: int, joint: jax.Array | int) -> Sentence:
             thing, place = jax.tree.map(lambda part: part[number], (things, places))

@@ -54,7 +54,7 @@ class PutNextLocalSampler(LevelSampler):
         layout, placed = self.grid.add_distractors(layout, objects, (0, 0))
         first, second, *_ = ranks(choice)
         sentence = clause(PUT_NEXT, like(placed.codes[first]), like(placed.codes[second]))
-        possible = put_next_is_possible(self.grid, layout, sentence, placed.codes, placed.cells)
+        possible = put_next_is_possible(self.grid, layout, sentence)
         reachable = placement.objects_reachable(layout.plane, layout.agent)
         return layout._replace(valid=layout.valid & reachable & possible), sentence
 
@@ -101,7 +101,7 @@ class PutNextSampler(LevelSampler):
         if not self.start_carrying:
             return episode
         things, _ = matches(self.grid, layout, sentence)
-        only, _ = placement.choose_cell(jnp.float32(0), things[0])
+        only = placement.ranked_cell(jnp.int32(0), things[0], self.grid.height)
         return replace(episode, environment=LateHandsState.of(episode.environment, only))
 
 
