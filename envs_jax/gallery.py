@@ -13,7 +13,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -22,6 +21,8 @@ from PIL import Image, ImageDraw, ImageFont
 from rich.progress import track
 
 import envs_jax
+from envs_jax.minigrid.rendering import render
+from envs_jax.minigrid.state import PADDING, GridState
 from jaxact.errors import JaxactError, unknown
 
 PROGRAM = "envs_jax.gallery"
@@ -114,13 +115,20 @@ def select(beginnings: Sequence[str]) -> list[str]:
 
 
 def exhibit(name: str, seed: int) -> Exhibit:
-    """Draws a grid world's level of a seed from above, what the agent sees lighter."""
-    grid: Any = envs_jax.make(name).sensors["image"]
-    tile_size = min(_TILE, _FRAME // max(grid.width, grid.height))
-    pomdp = envs_jax.make(name, observation="rgb_full", tile_size=tile_size)
-    reset = jax.jit(pomdp.reset, compiler_options=_COMPILE_QUICKLY)
-    _, observation = reset(jax.random.key(seed))
-    return Exhibit(name, np.asarray(observation["image"]), pomdp.words(observation))
+    """Draws a world's level of a seed from above, of a grid world what the agent sees lighter."""
+    pomdp = envs_jax.make(name)
+
+    def begin(key: jax.Array) -> tuple[jax.Array, dict[str, jax.Array]]:
+        state, observation = pomdp.reset(key)
+        world = state.environment
+        if not isinstance(world, GridState):
+            return next(iter(pomdp.pictures(state).values())), observation
+        width, height = (edge - 2 * PADDING for edge in world.tiles.shape)
+        return render(world, width, height, min(_TILE, _FRAME // max(width, height))), observation
+
+    reset = jax.jit(begin, compiler_options=_COMPILE_QUICKLY)
+    frame, observation = reset(jax.random.key(seed))
+    return Exhibit(name, np.asarray(frame), pomdp.words(observation))
 
 
 def sheet(exhibits: Sequence[Exhibit], columns: int) -> Image.Image:

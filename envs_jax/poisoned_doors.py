@@ -40,6 +40,10 @@ NO_DOOR = -1
 CHOOSING, FIRST_SYMBOL, NEXT_SYMBOL, DONE = range(4)
 _STAGES = 4
 
+# Colours of pictures, and a door's width in pixels.
+_LOCK, _GOOD, _POISONED = (180, 180, 180), (0, 255, 0), (150, 90, 40)
+_DOOR = 40
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -192,6 +196,21 @@ class StageSensor(Sensor):
         """Returns the vector."""
         del task_state
         return jax.nn.one_hot(state.stage, _STAGES, dtype=jnp.float32)
+
+    def picture(self, state: DoorsState, task_state: jax.Array) -> jax.Array:
+        """Returns the doors in a row, the chosen one bright: grey the one with the lock, with a bar
+        below as long as what was entered of the combination, green the good one, brown the rest."""
+        x = jnp.arange(PoisonedDoors().doors * _DOOR, dtype=jnp.int32)
+        door, across = x // _DOOR, x % _DOOR
+        color = jnp.where((door == task_state)[:, None], jnp.array(_GOOD), jnp.array(_POISONED))
+        color = jnp.where((door == 0)[:, None], jnp.array(_LOCK), color)
+        color = jnp.where((door == state.door)[:, None], color, color // 2)
+        color = jnp.where((across < _DOOR - 4)[:, None], color, 0)
+        entered = x < state.entered * (_DOOR - 4) // len(COMBINATION)
+        bar = jnp.where(entered[:, None], jnp.array(_LOCK), 0)
+        rows = [jnp.broadcast_to(color, (2 * _DOOR, *color.shape)), jnp.zeros((4, *color.shape))]
+        rows.append(jnp.broadcast_to(bar, (8, *bar.shape)))
+        return jnp.concatenate([row.astype(jnp.uint8) for row in rows])
 
 
 def poisoned_doors() -> POMDP:

@@ -9,11 +9,15 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from envs_jax.lighthouse.environment import LighthouseState
+from envs_jax.lighthouse.environment import LighthouseState, corners
 from envs_jax.lighthouse.tasks import SearchState
 from envs_jax.lighthouse.views import WALL, look
 from jaxact.pomdp import Sensor
 from jaxact.spaces import Box
+
+# Colours of pictures, and about how many pixels wide they are.
+_DARK, _IN_VIEW, _GOAL, _AGENT = (30, 30, 30), (90, 90, 90), (0, 255, 0), (255, 0, 0)
+_FRAME = 160
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,23 @@ class CornerSensor(Sensor):
         """Returns the vector."""
         known, border = look(state, task_state.goal, self.radius, self.view_radius)
         return jnp.concatenate([known, jnp.stack([border, state.last_action])]).astype(jnp.float32)
+
+    def picture(self, state: LighthouseState, task_state: SearchState) -> jax.Array:
+        """Returns the world from above: the agent red, the goal green, what is in view lighter."""
+        axes = [jnp.arange(-self.radius, self.radius + 1, dtype=jnp.int32)] * self.dim
+        cells = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1)
+        cells = cells.reshape(-1, *cells.shape[-2:])  # A line is a row.
+        goal = self.radius * jnp.asarray(corners(self.dim))[task_state.goal]
+        layers = (
+            (jnp.max(jnp.abs(cells - state.position), axis=-1) <= self.view_radius, _IN_VIEW),
+            (jnp.all(cells == goal, axis=-1), _GOAL),
+            (jnp.all(cells == state.position, axis=-1), _AGENT),
+        )
+        frame = jnp.broadcast_to(jnp.asarray(_DARK, jnp.uint8), (*cells.shape[:-1], 3))
+        for mask, color in layers:
+            frame = jnp.where(mask[..., None], jnp.asarray(color, jnp.uint8), frame)
+        pixels = max(1, _FRAME // (2 * self.radius + 1))
+        return jnp.repeat(jnp.repeat(frame, pixels, axis=0), pixels, axis=1)
 
 
 @dataclass(frozen=True)
@@ -72,8 +93,7 @@ class DesignSensor(Sensor):
 
     def observe(self, state: LighthouseState, task_state: SearchState) -> jax.Array:
         """Returns the row."""
-        corner_sensor = CornerSensor(self.dim, self.radius, self.view_radius)
-        values = corner_sensor.observe(state, task_state).astype(jnp.int32)
+        values = self._plain.observe(state, task_state).astype(jnp.int32)
         if self.degree is None:
             place = jnp.int32(0)
             for value, level in zip(values, self.levels, strict=True):
@@ -90,6 +110,14 @@ class DesignSensor(Sensor):
                 row = (row[:, None] * coded[i]).reshape(-1)
             rows.append(row)
         return jnp.concatenate(rows)
+
+    def picture(self, state: LighthouseState, task_state: SearchState) -> jax.Array:
+        """Returns the world from above; see `CornerSensor.picture`."""
+        return self._plain.picture(state, task_state)
+
+    @property
+    def _plain(self) -> CornerSensor:
+        return CornerSensor(self.dim, self.radius, self.view_radius)
 
     def _interactions(self, degree: int) -> list[tuple[int, ...]]:
         """Returns which variables enter each product, none for the constant."""

@@ -10,7 +10,9 @@ import pytest
 
 import envs_jax
 from envs_jax.lighthouse import optimal_length
-from envs_jax.lighthouse.environment import corners
+from envs_jax.lighthouse.environment import LighthouseState, corners
+from envs_jax.lighthouse.sensors import CornerSensor
+from envs_jax.lighthouse.tasks import SearchState
 from jaxact import JaxactError
 from jaxact.testing import check_pomdp
 
@@ -210,3 +212,18 @@ def test_the_design_is_a_table_or_has_a_degree():
 def test_bad_options_are_answered_with_a_sentence(options, message):
     with pytest.raises(JaxactError, match=message):
         envs_jax.make(NAME, **options)
+
+
+@pytest.mark.parametrize("dim", [1, 2])
+def test_pictures_show_agent_goal_and_view(dim):
+    sensor = CornerSensor(dim, 2, 1)
+    start = LighthouseState(
+        jnp.zeros(dim, jnp.int32), jnp.full(2**dim, 2, jnp.int32), jnp.int32(2 * dim)
+    )
+    task = SearchState(jnp.int32(2**dim - 1), jnp.int32(0), jnp.int32(9))
+    frame = np.asarray(sensor.picture(start, task))[::32, ::32]
+    assert frame.shape == ((1, 5, 3) if dim == 1 else (5, 5, 3))
+    red, green = frame[..., 0] == 255, frame[..., 1] == 255
+    assert np.argwhere(red).tolist() == [[0, 2] if dim == 1 else [2, 2]]
+    assert np.argwhere(green).tolist() == [[0, 4] if dim == 1 else [4, 4]]
+    assert np.sum(frame[..., 2] == 90) == 3**dim - 1

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import envs_jax
-from envs_jax.poisoned_doors import COMBINATION, DONE
+from envs_jax.poisoned_doors import COMBINATION, DONE, NEXT_SYMBOL, DoorsState, StageSensor
 from jaxact.testing import check_pomdp
 
 POMDP = envs_jax.make("Advisor-PoisonedDoors-v0")
@@ -86,3 +86,12 @@ def test_the_expert_knows_the_good_door_and_the_combination():
     assert int(POMDP.expert(keys[0], state).action) == COMBINATION[4]
     state, _ = play(1, [LOCK + 1])
     assert not POMDP.expert(keys[0], state).valid
+
+
+def test_picture_shows_the_good_door_and_what_was_entered():
+    state = DoorsState(jnp.int32(NEXT_SYMBOL), jnp.int32(0), jnp.int32(5))
+    frame = np.asarray(StageSensor().picture(state, jnp.int32(2)))
+    assert frame.shape == (92, 160, 3)
+    assert frame.dtype == np.uint8
+    assert frame[0, ::40].tolist() == [[180] * 3, [75, 45, 20], [0, 127, 0], [75, 45, 20]]
+    assert np.sum(frame[-1, :, 0] == 180) == 18
