@@ -115,7 +115,7 @@ def fill_queue(
     indices = first[:, None] + jnp.arange(length, dtype=jnp.int32)
     # One flat batch, for samplers that work on the whole of it (see `compaction`).
     flat = jax.vmap(sample)(jnp.repeat(key, length), indices.reshape(-1))
-    episodes, observations = jax.tree.map(lambda x: x.reshape(-1, length, *x.shape[1:]), flat)
+    episodes, observations = jax.tree.map(lambda x: x.reshape(*indices.shape, *x.shape[1:]), flat)
     return EpisodeQueue(key, first, jnp.zeros_like(first), episodes, observations)
 
 
@@ -176,7 +176,8 @@ def _take(
     def take(places: jax.Array, rows: jax.Array, now: PyTree) -> tuple[jax.Array, PyTree]:
         index = rows * length + queue.taken[rows]
         episode, first_observation = jax.tree.map(
-            lambda x: x.reshape(-1, *x.shape[2:])[index], (queue.episodes, queue.observations)
+            lambda x: x.reshape(x.shape[0] * length, *x.shape[2:])[index],
+            (queue.episodes, queue.observations),
         )
         new = (jax.vmap(pomdp.begin)(episode), first_observation)
         now = jax.tree.map(lambda x, y: x.at[places].set(y, mode="drop"), now, new)

@@ -10,7 +10,7 @@ import pytest
 from jaxact.distributions import Categorical
 from jaxact.models.output import ActorCriticOutput
 from jaxact.rollout import fill_queue, next_values, rollout, start_lanes
-from tests.corridor import corridor
+from tests.corridor import RandomStart, corridor
 
 LANES, LENGTH = 8, 50
 
@@ -91,6 +91,19 @@ def test_a_batch_of_runs_is_each_run_by_itself():
     together = jax.jit(jax.vmap(play))(keys)
     alone = jax.jit(play)(keys[1])
     jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[1], b), together, alone)
+
+
+def test_levels_may_have_leaves_without_elements():
+    @dataclasses.dataclass(frozen=True)
+    class WithNothing(RandomStart):
+        def sample(self, key, sampler_state):
+            origin = jnp.zeros((0, 3), jnp.float32)
+            return dataclasses.replace(super().sample(key, sampler_state), origin=origin)
+
+    pomdp = dataclasses.replace(corridor(), sampler=WithNothing())
+    lanes = start_lanes(pomdp, (), Scripted, jax.random.split(jax.random.key(0), LANES), 2)
+    after, _ = jax.eval_shape(lambda lanes: rollout(pomdp, policy, (), lanes, LENGTH), lanes)
+    assert after.queue.episodes.origin.shape == (LANES, 2, 0, 3)
 
 
 def test_final_observations_are_bootstrapped_from(played):
