@@ -10,6 +10,7 @@ agent is, so following the advice does not change it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -133,6 +134,19 @@ def errand_expert(subgoal: Subgoal, state: GridState, height: int) -> ExpertActi
         plan.action == planner.ARRIVED, arrival, moves[jnp.minimum(plan.action, planner.ACT)]
     )
     return ExpertAction(action.astype(jnp.int32), plan.reached)
+
+
+def first_possible(subgoals: Sequence[Subgoal], state: GridState, height: int) -> Subgoal:
+    """Returns the first subgoal towards which there is something to do, or else the very first.
+
+    To put down what is held, so as to see what can be done then, does not count.
+    """
+    chosen = subgoals[0]
+    for subgoal in reversed(subgoals):
+        step = _within_reach(subgoal, _survey(subgoal, state), state, height)
+        is_possible = _any(step.cells)
+        chosen = jax.tree.map(lambda a, b, use=is_possible: jnp.where(use, a, b), subgoal, chosen)
+    return chosen
 
 
 def _survey(subgoal: Subgoal, state: GridState) -> _Map:

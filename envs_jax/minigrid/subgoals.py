@@ -116,6 +116,8 @@ def instruction_subgoal(
     # Walls are among the things when a description names no more than their colour.
     movable = things & loose
     put_cells = jnp.where(is_crowded, edge & loose, jnp.where(holds, edge & empty, movable))
+    # Without a place there is none to bring a thing to, for all that is known.
+    put_cells = jnp.where(jnp.any(places != 0), put_cells, jnp.zeros_like(places))
     # An open door counts as well, but has to be shut first.
     doors = jnp.where(jnp.any(shut != 0), shut, things)
     return Subgoal.of(
