@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from envs_jax.minigrid import planner, tiles
 from envs_jax.minigrid.environment import DONE, TOGGLE
-from envs_jax.minigrid.errands import errand_expert, first_possible
+from envs_jax.minigrid.errands import first_errand_expert
 from envs_jax.minigrid.planner import Board
 from envs_jax.minigrid.rules import RuleTask
 from envs_jax.minigrid.sensors import GridSensor, PackedImageSensor
@@ -85,8 +85,7 @@ class PartialTask(Task):
         wanted = self.task.subgoal(task_state.task, known)
         unseen = _instead(wanted, planner.pack(kinds == tiles.UNSEEN), DONE)
         boxes = _instead(wanted, planner.pack((kinds == tiles.BOX) & ~is_own), TOGGLE)
-        subgoal = first_possible([wanted, unseen, boxes], known, self.view.height)
-        return errand_expert(subgoal, known, self.view.height)
+        return first_errand_expert([wanted, unseen, boxes], known, self.view.height)
 
 
 @dataclass(frozen=True)
@@ -171,5 +170,6 @@ def _instead(subgoal: Subgoal, cells: Board, action: int) -> Subgoal:
         cells=cells,
         action=jnp.int32(action),
         stands=jnp.bool_(False),
+        must_drop=jnp.bool_(False),
         destination=jnp.zeros_like(cells),
     )
