@@ -10,6 +10,7 @@ agent is, so following the advice does not change it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -62,6 +63,7 @@ class _Map:
       closed: doors that may be opened without a key, and boxes that may be opened to get past.
       fitting: locked doors that the key in hand opens.
       locks: other locked doors of which there is a key somewhere.
+      sealed: locked doors of which there is none.
       loose: objects that may be taken away.
       empty: cells in which something can be put down.
       doors: doors, whatever their state.
@@ -73,6 +75,7 @@ class _Map:
     closed: Board
     fitting: Board
     locks: Board
+    sealed: Board
     loose: Board
     empty: Board
     doors: Board
@@ -117,7 +120,39 @@ def errand_expert(subgoal: Subgoal, state: GridState, height: int) -> ExpertActi
       An int32 action of `GridWorld`. It is not valid where no way was found.
     """
     world = _survey(subgoal, state)
-    step = _within_reach(subgoal, world, state, height)
+    return _advise(subgoal, world, _within_reach(subgoal, world, state, height), state, height)
+
+
+def first_errand_expert(subgoals: Sequence[Subgoal], state: GridState, height: int) -> ExpertAction:
+    """Advises the next action towards the first subgoal for which there is something to do.
+
+    To put down what is held, so as to see what can be done then, counts only where that has to be.
+    Where nothing counts, the advice is that of `errand_expert` for the very first subgoal.
+
+    Args:
+      subgoals: what is to be done, most wanted first.
+      state: the world.
+      height: cells of the grid along y.
+
+    Returns:
+      An int32 action of `GridWorld`. It is not valid where no way was found.
+    """
+
+    def prepare(subgoal: Subgoal) -> tuple[Subgoal, _Map, _Step]:
+        world = _survey(subgoal, state)
+        return subgoal, world, _within_reach(subgoal, world, state, height)
+
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *subgoals)
+    prepared = jax.vmap(prepare)(stacked)
+    is_possible = jnp.any(prepared[2].cells != 0, axis=1) | stacked.must_drop
+    subgoal, world, step = jax.tree.map(lambda leaf: leaf[jnp.argmax(is_possible)], prepared)
+    return _advise(subgoal, world, step, state, height)
+
+
+def _advise(
+    subgoal: Subgoal, world: _Map, step: _Step, state: GridState, height: int
+) -> ExpertAction:
+    """Returns the first action of a shortest plan for a step."""
     hands_full = state.carrying != 0
     must_drop = hands_full & (
         ~_any(step.cells) | (step.action == PICKUP) & _any(step.cells & world.near)
@@ -153,7 +188,8 @@ def _survey(subgoal: Subgoal, state: GridState) -> _Map:
     closed = jnp.where(subgoal.may_open, planner.pack(kinds == tiles.CLOSED_DOOR), nothing)
     closed |= subgoal.fragile
     fitting = jnp.where(subgoal.may_open, planner.pack(fits), nothing)
-    locks = planner.pack(locked & ~fits & _has_key(colors, state))
+    has_key = _has_key(colors, state)
+    locks = planner.pack(locked & ~fits & has_key)
     here = cell_board(state.position, subgoal.cells)
     near = spread(here, walkable | closed)
     far = spread(near, walkable | closed | fitting)
@@ -162,6 +198,7 @@ def _survey(subgoal: Subgoal, state: GridState) -> _Map:
         closed=closed,
         fitting=fitting,
         locks=locks,
+        sealed=planner.pack(locked & ~fits & ~has_key),
         loose=jnp.where(subgoal.may_move, planner.pack(is_kind(cells, PORTABLE)), nothing),
         empty=planner.pack(cells == tiles.EMPTY_TILE),
         doors=planner.pack(is_kind(cells, DOORS)),
@@ -221,8 +258,9 @@ def _within_reach(subgoal: Subgoal, world: _Map, state: GridState, height: int) 
     # With the way cleared only once it is needed, what was picked up would be put down for it and
     # then picked up again, for ever.
     is_cut_off = _any(subgoal.destination) & ~_any(subgoal.destination & world.near)
+    can_be_done = jnp.where(subgoal.action == TOGGLE, subgoal.cells & ~world.sealed, subgoal.cells)
     first = _Step(
-        cells=jnp.where(is_cut_off, subgoal.destination, subgoal.cells),
+        cells=jnp.where(is_cut_off, subgoal.destination, can_be_done),
         action=jnp.where(is_cut_off, DROP, subgoal.action),
         is_for_key=jnp.bool_(False),
         locks=world.locks,

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 
 from envs_jax.minigrid import pictures, tiles
-from envs_jax.minigrid.environment import heading
 from envs_jax.minigrid.sensors import VIEW_SIZE, PackedImageSensor
 from envs_jax.minigrid.state import PADDING, GridState
 
@@ -52,11 +51,7 @@ def render(
     agent = jnp.zeros(plane.shape, jnp.int32).at[x, y].set(state.direction.astype(jnp.int32) + 1)
     seen = jnp.zeros(plane.shape, bool)
     if highlight:
-        sensor = PackedImageSensor(width, height, view_size, see_through_walls)
-        visible = sensor.observe(state, None) != tiles.UNSEEN
-        around = view_size - 1
-        seen = jnp.pad(seen, around).at[_looked_at(state, view_size)].set(visible)
-        seen = seen[around:-around, around:-around]
+        seen = PackedImageSensor(width, height, view_size, see_through_walls).visible(state)
     return _compose(plane, agent, seen, tile_size)
 
 
@@ -75,22 +70,6 @@ def render_egocentric(view: jax.Array, tile_size: int = TILE_SIZE) -> jax.Array:
     size = len(codes)
     agent = jnp.zeros(codes.shape, jnp.int32).at[size // 2, size - 1].set(_UP + 1)
     return _compose(codes, agent, codes != tiles.UNSEEN, tile_size)
-
-
-def _looked_at(state: GridState, view_size: int) -> tuple[jax.Array, jax.Array]:
-    """Returns the coordinates, int32[V, V] each, of the view's cells [vx, vy].
-
-    They count from V − 1 cells beyond the grid's corner, so that none is negative.
-    """
-    forward = heading(state.direction)
-    right = jnp.stack([-forward[1], forward[0]])
-    steps = jnp.arange(view_size, dtype=jnp.int32)
-    aside, ahead = (steps - view_size // 2)[:, None], (view_size - 1 - steps)[None, :]
-    x, y = (
-        state.position[axis] + view_size - 1 + ahead * forward[axis] + aside * right[axis]
-        for axis in range(2)
-    )
-    return x, y
 
 
 def _packed(image: jax.Array) -> jax.Array:

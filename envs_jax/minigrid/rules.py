@@ -17,6 +17,7 @@ from envs_jax.minigrid.environment import (
     FORWARD,
     OPEN_DOORS,
     PICKUP,
+    PORTABLE,
     TOGGLE,
     at_index,
     cell_index,
@@ -106,7 +107,52 @@ class RuleTask(Task):
         With the rule `PLAY` the advice is never valid.
         """
         del key
-        return errand_expert(_subgoal(task_state, state), state, self.height)
+        return errand_expert(self.subgoal(task_state, state), state, self.height)
+
+    def subgoal(self, task_state: RuleState, state: GridState) -> Subgoal:
+        """Returns what the rule wants next.
+
+        Cells of type `UNSEEN` are not known to be what the rule is about. Which of two is the match
+        is not known before three objects can be seen: both choices, and what one is to match.
+        """
+        cells, marks = inner(state.tiles), inner(state.marks)
+        empty = planner.pack(cells == tiles.EMPTY_TILE)
+        targets = planner.pack(cells == task_state.target)
+        seen = planner.pack(cells != tiles.UNSEEN)
+        first, second = (cell_board(cell, empty) & seen for cell in task_state.cells)
+        holds = state.carrying == task_state.target
+        no, yes = jnp.bool_(False), jnp.bool_(True)
+        nothing = jnp.zeros_like(empty)
+        is_told = jnp.sum(is_kind(cells, PORTABLE), dtype=jnp.int32) >= 3
+        match = jnp.where(is_told, first, nothing)
+        # For each rule: the cells, what to do there, whether objects may be moved, doors opened.
+        wishes: dict[int, tuple[Board, jax.Array | int, jax.Array, jax.Array]] = {
+            PICK_UP: (planner.pack(marks & TRACKED_MASK != 0), PICKUP, yes, yes),
+            OPEN: (first, TOGGLE, yes, yes),
+            FETCH: (targets, PICKUP, no, yes),
+            GO_NEXT_TO: (beside(first) & empty, DONE, yes, no),
+            PUT_NEAR: (
+                jnp.where(holds, around(first) & empty, targets),
+                jnp.where(holds, DROP, PICKUP),
+                no,
+                yes,
+            ),
+            MATCH: (match, FORWARD, no, yes),
+            OPEN_IN_TURN: (jnp.where(task_state.opened[0], second, first), TOGGLE, yes, yes),
+        }
+        wanted, action, may_move, may_open = nothing, jnp.int32(DONE), no, no
+        for rule, (where, what, moves, opens) in wishes.items():
+            applies = task_state.rule == rule
+            wanted, action = jnp.where(applies, where, wanted), jnp.where(applies, what, action)
+            may_move, may_open = may_move | applies & moves, may_open | applies & opens
+        return Subgoal.of(
+            wanted,
+            action,
+            stands=task_state.rule == GO_NEXT_TO,
+            forbidden=jnp.where(task_state.rule == MATCH, (first | second) & ~match, nothing),
+            may_move=may_move,
+            may_open=may_open,
+        )
 
     def _opened(self, cells: jax.Array, state: GridState) -> jax.Array:
         """Returns bool[2], whether open doors stand in `cells`."""
@@ -149,42 +195,3 @@ def _judge(
         applies = task_state.rule == rule
         over, won = over | applies & ends, won | applies & succeeds
     return over, won
-
-
-def _subgoal(task_state: RuleState, state: GridState) -> Subgoal:
-    """Returns what the rule wants next."""
-    cells, marks = inner(state.tiles), inner(state.marks)
-    empty = planner.pack(cells == tiles.EMPTY_TILE)
-    targets = planner.pack(cells == task_state.target)
-    first, second = (cell_board(cell, empty) for cell in task_state.cells)
-    holds = state.carrying == task_state.target
-    no, yes = jnp.bool_(False), jnp.bool_(True)
-    nothing = jnp.zeros_like(empty)
-    # For each rule: the cells, what to do there, and whether objects may be moved, doors opened.
-    wishes: dict[int, tuple[Board, jax.Array | int, jax.Array, jax.Array]] = {
-        PICK_UP: (planner.pack(marks & TRACKED_MASK != 0), PICKUP, yes, yes),
-        OPEN: (first, TOGGLE, yes, yes),
-        FETCH: (targets, PICKUP, no, yes),
-        GO_NEXT_TO: (beside(first) & empty, DONE, yes, no),
-        PUT_NEAR: (
-            jnp.where(holds, around(first) & empty, targets),
-            jnp.where(holds, DROP, PICKUP),
-            no,
-            yes,
-        ),
-        MATCH: (first, FORWARD, no, yes),
-        OPEN_IN_TURN: (jnp.where(task_state.opened[0], second, first), TOGGLE, yes, yes),
-    }
-    wanted, action, may_move, may_open = nothing, jnp.int32(DONE), no, no
-    for rule, (where, what, moves, opens) in wishes.items():
-        applies = task_state.rule == rule
-        wanted, action = jnp.where(applies, where, wanted), jnp.where(applies, what, action)
-        may_move, may_open = may_move | applies & moves, may_open | applies & opens
-    return Subgoal.of(
-        wanted,
-        action,
-        stands=task_state.rule == GO_NEXT_TO,
-        forbidden=jnp.where(task_state.rule == MATCH, second, nothing),
-        may_move=may_move,
-        may_open=may_open,
-    )

@@ -116,6 +116,15 @@ class PackedImageSensor(GridSensor):
         rows = (ahead, jnp.arange(size, dtype=jnp.int32))
         return jax.lax.scan(look, start, rows, reverse=True)[1].T
 
+    def visible(self, state: GridState) -> jax.Array:
+        """Returns which cells of the grid are in sight, bool[W, H], indexed [x, y]."""
+        around = self.view_size - 1
+        plane = state.tiles[PADDING:-PADDING, PADDING:-PADDING]
+        lit = self.observe(state, None) != tiles.UNSEEN
+        framed = jnp.pad(jnp.zeros(plane.shape, bool), around)
+        framed = framed.at[_looked_at(state, self.view_size)].set(lit)
+        return framed[around:-around, around:-around]
+
     def _rows_ahead(self, state: GridState) -> jax.Array:
         """Returns the cells in view, light or dark, as uint8[vy, vx].
 
@@ -183,6 +192,22 @@ class MissionSensor(Sensor):
     def text(self, reading: jax.Array) -> str:
         """Puts a reading into words: the mission as MiniGrid writes it."""
         return missions.decode_mission(reading)
+
+
+def _looked_at(state: GridState, view_size: int) -> tuple[jax.Array, jax.Array]:
+    """Returns the coordinates, int32[V, V] each, of the view's cells [vx, vy].
+
+    They count from V − 1 cells beyond the grid's corner, so that none is negative.
+    """
+    forward = heading(state.direction)
+    right = jnp.stack([-forward[1], forward[0]])
+    steps = jnp.arange(view_size, dtype=jnp.int32)
+    aside, ahead = (steps - view_size // 2)[:, None], (view_size - 1 - steps)[None, :]
+    x, y = (
+        state.position[axis] + view_size - 1 + ahead * forward[axis] + aside * right[axis]
+        for axis in range(2)
+    )
+    return x, y
 
 
 def _spread(lit: jax.Array, clear: jax.Array, size: int) -> jax.Array:

@@ -22,7 +22,7 @@ _SHUT_DOORS = 1 << tiles.CLOSED_DOOR | 1 << tiles.LOCKED_DOOR
 class Subgoal:
     """An action to be taken at one of some cells. Boards are word[H], see `planner`.
 
-    Without cells there is nothing to do but to drop what is held.
+    Without cells there is nothing to do but to drop what is held, unless to find them.
 
     Attributes:
       cells: where to act; one of them is to be faced or, with `stands`, to be stood on.
@@ -33,6 +33,7 @@ class Subgoal:
       destination: cells of which one is to be faced afterwards, with in hand what is picked up;
         none where that is all.
       fragile: boxes to be got past by opening them, which destroys them.
+      must_drop: bool scalar, whether what is held has to be put down first.
       may_move: bool scalar, whether objects may be taken out of the way.
       may_open: bool scalar, whether doors other than `cells` may be opened.
     """
@@ -44,6 +45,7 @@ class Subgoal:
     reserved: Board
     destination: Board
     fragile: Board
+    must_drop: jax.Array
     may_move: jax.Array
     may_open: jax.Array
 
@@ -58,6 +60,7 @@ class Subgoal:
         reserved: Board | None = None,
         destination: Board | None = None,
         fragile: Board | None = None,
+        must_drop: jax.Array | bool = False,
         may_move: jax.Array | bool = True,
         may_open: jax.Array | bool = True,
     ) -> Subgoal:
@@ -71,6 +74,7 @@ class Subgoal:
             reserved=nothing if reserved is None else reserved,
             destination=nothing if destination is None else destination,
             fragile=nothing if fragile is None else fragile,
+            must_drop=jnp.asarray(must_drop, jnp.bool_),
             may_move=jnp.asarray(may_move, jnp.bool_),
             may_open=jnp.asarray(may_open, jnp.bool_),
         )
@@ -90,7 +94,7 @@ def instruction_subgoal(
       program: the instruction.
       progress: how far it was followed.
       ghosts: uint32[beliefs, H], see `instructions.believe`.
-      state: the world.
+      state: the world; cells of type `UNSEEN` may be anything.
     """
     clauses = program.go_to | program.open | program.pick_up | program.put_next
     sooner = jnp.where(program.later == 0, clauses, clauses & ~program.later) & ~progress.done
@@ -109,29 +113,40 @@ def instruction_subgoal(
     empty, loose = planner.pack(cells == tiles.EMPTY_TILE), planner.pack(is_kind(cells, PORTABLE))
     shut = things & planner.pack(is_kind(cells, _SHUT_DOORS))
     boxes = planner.pack(cells & tiles.TYPE_MASK == tiles.BOX)
+    unseen = planner.pack(cells == tiles.UNSEEN)
 
-    holds = state.carrying_mark.astype(jnp.uint32) >> (number + MAX_CLAUSES) & 1 != 0
-    edge = beside(places)
-    is_crowded = jnp.any(places != 0) & jnp.all(edge & empty == 0)
+    held = state.carrying_mark.astype(jnp.uint32) >> number
+    holds, holds_place = held >> MAX_CLAUSES & 1 != 0, held & 1 != 0
+    edge, nothing = beside(places), jnp.zeros_like(places)
+    room = edge & empty
+    has_room = jnp.any(room != 0)
+    is_crowded = jnp.any(places != 0) & jnp.all(edge & (empty | unseen) == 0)
     # Walls are among the things when a description names no more than their colour.
     movable = things & loose
-    put_cells = jnp.where(is_crowded, edge & loose, jnp.where(holds, edge & empty, movable))
+    # A thing is not fetched before it is known where to.
+    put_cells = jnp.select(
+        [is_crowded, has_room & holds, has_room], [edge & loose, room, movable], nothing
+    )
     # An open door counts as well, but has to be shut first.
     doors = jnp.where(jnp.any(shut != 0), shut, things)
+    wanted = jnp.select(
+        [is_put_next, is_open, is_pick_up & ~holds, is_pick_up],
+        [put_cells, doors, movable, nothing],
+        believed,
+    )
+    # What is to be picked up, found or put something next to may be in hand.
+    in_hand = jnp.where(is_put_next, holds_place & ~holds, holds_place | holds)
     return Subgoal.of(
-        jnp.select(
-            [is_put_next, is_open, is_pick_up & ~holds, is_pick_up],
-            [put_cells, doors, movable, jnp.zeros_like(things)],
-            believed,
-        ),
+        wanted,
         jnp.select(
             [is_put_next & holds & ~is_crowded, is_put_next | is_pick_up, is_open],
             [jnp.int32(DROP), jnp.int32(PICKUP), jnp.int32(TOGGLE)],
             jnp.int32(DONE),
         ),
-        reserved=jnp.where(is_put_next, edge, jnp.zeros_like(edge)),
-        destination=jnp.where(is_put_next & ~holds, edge & empty, jnp.zeros_like(edge)),
-        fragile=jnp.where(is_strict & is_pick_up, boxes & ~things, jnp.zeros_like(boxes)),
+        reserved=jnp.where(is_put_next, edge, nothing),
+        destination=jnp.where(is_put_next & ~holds, room, nothing),
+        fragile=jnp.where(is_strict & is_pick_up, boxes & ~things, nothing),
+        must_drop=in_hand & jnp.all(wanted == 0),
         may_move=~(is_strict & is_pick_up),
         may_open=~(is_strict & is_open),
     )

@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 
 from envs_jax.minigrid import expert as experts
-from envs_jax.minigrid import instructions, tiles
+from envs_jax.minigrid import instructions, planner, tiles
 from envs_jax.minigrid.environment import FORWARD, at_index, front_index
 from envs_jax.minigrid.errands import errand_expert
 from envs_jax.minigrid.instructions import Program, Progress
 from envs_jax.minigrid.state import GridState
-from envs_jax.minigrid.subgoals import instruction_subgoal
+from envs_jax.minigrid.subgoals import Subgoal, inner, instruction_subgoal
 from jaxact.pomdp import ExpertAction, Outcome, Task
 
 REWARD_SLOPE = 0.9
@@ -105,6 +105,12 @@ class GoalTask(Task):
         """Returns the first action of a shortest plan to the goal square."""
         return experts.goal_expert(key, task_state, state, self.width, self.height)
 
+    def subgoal(self, task_state: GoalState, state: GridState) -> Subgoal:
+        """Returns what there is to do: to step onto a goal square."""
+        del task_state
+        goals = planner.pack(inner(state.tiles) & tiles.TYPE_MASK == tiles.GOAL)
+        return Subgoal.of(goals, FORWARD)
+
 
 @dataclass(frozen=True)
 class InstructionTask(Task):
@@ -148,8 +154,11 @@ class InstructionTask(Task):
     ) -> ExpertAction:
         """Returns the next action towards the first clause not done; see `errand_expert`."""
         del key
-        subgoal = instruction_subgoal(*self._read(task_state), task_state.ghosts, state)
-        return errand_expert(subgoal, state, self.height)
+        return errand_expert(self.subgoal(task_state, state), state, self.height)
+
+    def subgoal(self, task_state: InstructionState, state: GridState) -> Subgoal:
+        """Returns what the first clause that counts and is not done wants next."""
+        return instruction_subgoal(*self._read(task_state), task_state.ghosts, state)
 
     def _read(self, task_state: InstructionState) -> tuple[Program, Progress]:
         assert task_state.program is not None
