@@ -116,8 +116,9 @@ def compile_loop(world: World, seed: int, prng: str, lanes: int, steps: int, dev
     loop = Loop(program, carry, time.perf_counter() - begun)
     loop.run()
     shares = np.random.default_rng(seed).random(lanes, np.float32)
-    aged = jax.jit(world.age)(loop.carry.state, jax.device_put(shares, spread))
-    loop.carry = replace(loop.carry, state=aged)
+    # Not jitted: leaves that it hands on, some without elements, would come back sharded otherwise.
+    state = world.age(loop.carry.state, jax.device_put(shares, spread))
+    loop.carry = replace(loop.carry, state=state)
     return loop
 
 

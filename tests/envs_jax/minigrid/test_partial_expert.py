@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_expert_success import reset
+from test_expert_success import follow, reset
 
 import envs_jax
 from envs_jax.minigrid import planner, tiles
@@ -195,3 +195,21 @@ def test_what_is_unseen_does_not_change_the_advice_in_play(name: str) -> None:
         choices = rng.choice([0, 1, 2, 2, 2, 3, 4, 5], 64)
         action = np.where(rng.random(64) < 0.5, np.asarray(one.action), choices)
         state, _ = step(keys, state, jnp.asarray(action, jnp.int32))
+
+
+# Least success and greatest mean length of the episodes with success; in `Unlock` the key can be
+# behind its own door.
+FIGURES = {
+    "MiniGrid-FourRooms-v0": (0.995, 35.0),
+    "BabyAI-Unlock-v0": (0.98, 84.0),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(FIGURES))
+def test_it_gets_there_within_the_horizon(name: str) -> None:
+    pomdp = replace(partially_observing(envs_jax.make(name)), sensors={})
+    record = follow(pomdp, *reset(pomdp, 500))
+    success, length = FIGURES[name]
+    assert np.mean(record.won) >= success
+    assert np.mean(record.steps[record.won]) <= length
