@@ -105,7 +105,11 @@ def compile_loop(world: World, seed: int, prng: str, lanes: int, steps: int, dev
     spread = NamedSharding(mesh, PartitionSpec(AXIS))
     key = jax.random.key(seed, impl=prng)
     start = jax.jit(partial(_start, world, lanes=lanes, devices=devices))
-    carry = jax.block_until_ready(jax.device_put(start(key), spread))
+    carry = start(key)
+    # Arrays without elements come out of the loop replicated, so that is how they go in.
+    everywhere = NamedSharding(mesh, PartitionSpec())
+    places = jax.tree.map(lambda x: spread if x.size else everywhere, carry)
+    carry = jax.block_until_ready(jax.device_put(carry, places))
 
     specs = PartitionSpec(AXIS)
     go = partial(_run, world, lanes=lanes // devices, steps=steps)
@@ -116,9 +120,8 @@ def compile_loop(world: World, seed: int, prng: str, lanes: int, steps: int, dev
     loop = Loop(program, carry, time.perf_counter() - begun)
     loop.run()
     shares = np.random.default_rng(seed).random(lanes, np.float32)
-    # Not jitted: leaves that it hands on, some without elements, would come back sharded otherwise.
-    state = world.age(loop.carry.state, jax.device_put(shares, spread))
-    loop.carry = replace(loop.carry, state=state)
+    aged = jax.jit(world.age)(loop.carry.state, jax.device_put(shares, spread))
+    loop.carry = replace(loop.carry, state=aged)
     return loop
 
 

@@ -222,7 +222,9 @@ class Program:
                 check_vma=False,
             )(state, numbers, limit)
 
-        return jax.jit(sharded, donate_argnums=0)
+        # Without being told, XLA returns arrays without elements replicated, whatever they were.
+        everywhere = NamedSharding(self.mesh, PartitionSpec())
+        return jax.jit(sharded, donate_argnums=0, out_shardings=(self._shardings, everywhere))
 
 
 def choose_devices(count: int | None) -> tuple[Any, ...]:

@@ -129,6 +129,37 @@ def test_any_number_of_devices_learns_the_same(counts, sampler, tmp_path):
     assert ended.stdout.strip() == "done"
 
 
+EMPTY_LEAF = """
+    import jax
+    from jaxact import Experiment, Stage, TrainingPipeline, train
+    from jaxact.losses import PPO
+    from jaxact.models import GRU, ActorCritic, InstructedGrid
+    import envs_jax
+
+    pomdp = envs_jax.make("BabyAI-PickupLoc-v0")
+    state, _ = jax.eval_shape(pomdp.reset, jax.random.key(0))
+    assert any(leaf.size == 0 for leaf in jax.tree.leaves(state))
+    pipeline = TrainingPipeline(
+        (Stage({"ppo": PPO()}, 1024),), lanes=8, rollout_length=16, epochs=1, minibatches=2
+    )
+    model = ActorCritic(pomdp.action_space, InstructedGrid(16), GRU(16))
+    experiment = Experiment("small", pomdp, model, pipeline)
+    result = train(experiment, devices=2, log_every=128, evaluation_episodes=0, progress=False)
+    print(len(result.metrics["step"]))
+"""
+
+
+@pytest.mark.slow
+def test_levels_may_have_leaves_without_elements(tmp_path):
+    """XLA would hand these back replicated, and the next chunk's program refuse them."""
+    command = [sys.executable, "-c", textwrap.dedent(EMPTY_LEAF)]
+    ended = subprocess.run(
+        command, env=environment(2), cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.strip() == "8"
+
+
 PROCESS = """
     import os, signal, sys
     import jax
