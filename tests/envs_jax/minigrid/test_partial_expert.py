@@ -200,7 +200,12 @@ def test_what_is_unseen_does_not_change_the_advice_in_play(name: str) -> None:
 # Least success and greatest mean length of the episodes with success; in `Unlock` the key can be
 # behind its own door.
 FIGURES = {
+    "MiniGrid-Empty-8x8-v0": (1.0, 15.0),
     "MiniGrid-FourRooms-v0": (0.995, 35.0),
+    "MiniGrid-DoorKey-8x8-v0": (0.995, 20.5),
+    "BabyAI-GoToLocal-v0": (0.995, 6.0),
+    "BabyAI-GoTo-v0": (0.995, 52.0),
+    "BabyAI-KeyInBox-v0": (0.995, 23.0),
     "BabyAI-Unlock-v0": (0.98, 84.0),
 }
 
