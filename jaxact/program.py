@@ -1,4 +1,4 @@
-"""From updates to compiled programs: the scan that both drivers of training share."""
+"""From updates to compiled programs: the loop that both drivers of training share."""
 
 from __future__ import annotations
 

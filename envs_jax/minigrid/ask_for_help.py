@@ -11,10 +11,11 @@ import jax.numpy as jnp
 from envs_jax.minigrid import planner
 from envs_jax.minigrid.environment import TOGGLE, GridWorld
 from envs_jax.minigrid.samplers import placement
+from envs_jax.minigrid.samplers.changed import ChangedEpisodes
 from envs_jax.minigrid.sensors import GridSensor
 from envs_jax.minigrid.state import GridState
 from envs_jax.minigrid.tasks import GoalState, GoalTask, entered
-from jaxact.pomdp import Environment, Episode, Outcome, PyTree, Sensor, TaskSampler
+from jaxact.pomdp import Environment, Episode, Outcome, PyTree, Sensor
 from jaxact.spaces import Discrete, Space
 
 NUM_ACTIONS = 4
@@ -159,26 +160,19 @@ class AskForHelpTask(GoalTask):
 
 
 @dataclass(frozen=True)
-class AskForHelpSampler(TaskSampler):
-    """The episodes of a sampler that does not learn, in the dark.
+class AskForHelpSampler(ChangedEpisodes):
+    """The episodes of a sampler, those of a `GoalTask`, in the dark.
 
     Attributes:
-      sampler: whose episodes they are; they are those of a `GoalTask`.
       width: cells of the grid along x.
       height: cells of the grid along y.
     """
 
-    sampler: TaskSampler
     width: int
     height: int
 
-    def init(self, key: jax.Array) -> PyTree:
-        """Returns the first state of the sampler."""
-        return self.sampler.init(key)
-
-    def sample(self, key: jax.Array, sampler_state: PyTree) -> Episode:
-        """Draws one episode."""
-        episode = self.sampler.sample(key, sampler_state)
+    def change(self, episode: Episode) -> Episode:
+        """Returns the episode with the light off and nothing explored."""
         world, task = episode.environment, episode.task
         place = world.position, self.width, self.height
         dark = SwitchState(

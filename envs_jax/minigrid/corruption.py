@@ -8,10 +8,11 @@ import jax
 import jax.numpy as jnp
 
 from envs_jax.minigrid import expert as experts
+from envs_jax.minigrid.samplers.changed import ChangedEpisodes
 from envs_jax.minigrid.state import GridState
 from envs_jax.minigrid.tasks import GoalState, GoalTask
 from jaxact.errors import JaxactError
-from jaxact.pomdp import POMDP, Episode, ExpertAction, Outcome, PyTree, TaskSampler
+from jaxact.pomdp import POMDP, Episode, ExpertAction, Outcome
 from jaxact.spaces import Discrete
 
 _FAR = jnp.iinfo(jnp.int32).max
@@ -72,24 +73,17 @@ class CorruptGoalTask(GoalTask):
 
 
 @dataclass(frozen=True)
-class CorruptSampler(TaskSampler):
-    """The episodes of a sampler that does not learn, for a `CorruptGoalTask`.
+class CorruptSampler(ChangedEpisodes):
+    """The episodes of a sampler, for a `CorruptGoalTask`.
 
     Attributes:
-      sampler: whose episodes they are.
       height: cells of the grid along y.
     """
 
-    sampler: TaskSampler
     height: int
 
-    def init(self, key: jax.Array) -> PyTree:
-        """Returns the first state of the sampler."""
-        return self.sampler.init(key)
-
-    def sample(self, key: jax.Array, sampler_state: PyTree) -> Episode:
-        """Draws one episode."""
-        episode = self.sampler.sample(key, sampler_state)
+    def change(self, episode: Episode) -> Episode:
+        """Returns the episode with the distance from its goal."""
         parts = {field.name: getattr(episode.task, field.name) for field in fields(GoalState)}
         unplanned = CorruptState(
             **parts, closest=jnp.int32(_FAR), advice=jnp.int32(0), valid=jnp.bool_(False)
@@ -113,7 +107,7 @@ def corrupt_expert(pomdp: POMDP, within: int) -> POMDP:
       within: how near, in actions; see `CorruptGoalTask`.
 
     Raises:
-      JaxactError: the world's task is another, or `within` is negative.
+      JaxactError: the world's task is another, its sampler learns, or `within` is negative.
     """
     if type(pomdp.task) is not GoalTask or not isinstance(pomdp.action_space, Discrete):
         name = type(pomdp.task).__name__

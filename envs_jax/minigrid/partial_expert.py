@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -14,13 +13,14 @@ from envs_jax.minigrid.environment import DONE, TOGGLE
 from envs_jax.minigrid.errands import first_errand_expert
 from envs_jax.minigrid.planner import Board
 from envs_jax.minigrid.rules import RuleTask
+from envs_jax.minigrid.samplers.changed import ChangedEpisodes
 from envs_jax.minigrid.sensors import GridSensor, PackedImageSensor
 from envs_jax.minigrid.state import PADDING, TRACKED_MASK, GridState
 from envs_jax.minigrid.subgoals import Subgoal, inner
 from envs_jax.minigrid.tasks import GoalTask, GoToTask, InstructionTask
 from envs_jax.minigrid.views import FullImageSensor, RGBFullImageSensor
 from jaxact.errors import JaxactError
-from jaxact.pomdp import POMDP, Episode, ExpertAction, Outcome, PyTree, Task, TaskSampler
+from jaxact.pomdp import POMDP, Episode, ExpertAction, Outcome, PyTree, Task
 
 # Those in whose worlds nothing changes out of the agent's sight.
 _TASKS = (GoalTask, GoToTask, InstructionTask, RuleTask)
@@ -89,35 +89,19 @@ class PartialTask(Task):
 
 
 @dataclass(frozen=True)
-class PartialSampler(TaskSampler):
-    """The episodes of a sampler that does not learn, for a `PartialTask`.
+class PartialSampler(ChangedEpisodes):
+    """The episodes of a sampler, for a `PartialTask`.
 
     Attributes:
-      sampler: whose episodes they are.
       view: what the agent sees.
     """
 
-    sampler: TaskSampler
     view: PackedImageSensor
 
-    @property
-    def held_out(self) -> TaskSampler:
-        """The held-out episodes of the sampler."""
-        return PartialSampler(self.sampler.held_out, self.view)
-
-    def init(self, key: jax.Array) -> PyTree:
-        """Returns the first state of the sampler."""
-        return self.sampler.init(key)
-
-    def sample(self, key: jax.Array, sampler_state: PyTree) -> Episode:
-        """Draws one episode."""
-        episode = self.sampler.sample(key, sampler_state)
+    def change(self, episode: Episode) -> Episode:
+        """Returns the episode with what is in sight as it begins."""
         seen = planner.pack(self.view.visible(episode.environment))
         return replace(episode, task=PartialState(episode.task, seen))
-
-    def kinds(self, origin: PyTree) -> Mapping[str, jax.Array]:
-        """Those of the sampler."""
-        return self.sampler.kinds(origin)
 
 
 def partially_observing(pomdp: POMDP) -> POMDP:
@@ -141,9 +125,6 @@ def partially_observing(pomdp: POMDP) -> POMDP:
             "a partially observing expert needs a sensor 'image' of the agent's own view, such as "
             "that of the observations image, packed and rgb"
         )
-    if pomdp.sampler.learns:
-        name = type(pomdp.sampler).__name__
-        raise JaxactError(f"{name} learns: make its parts partially observing, not the whole")
     task = PartialTask(cast(GoalTask | InstructionTask | RuleTask, pomdp.task), sensor.view)
     return replace(pomdp, task=task, sampler=PartialSampler(pomdp.sampler, sensor.view))
 

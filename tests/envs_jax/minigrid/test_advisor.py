@@ -15,6 +15,7 @@ from envs_jax.minigrid.corruption import corrupt_expert
 from envs_jax.minigrid.environment import FORWARD, LEFT, RIGHT
 from envs_jax.minigrid.state import PADDING
 from jaxact import JaxactError
+from jaxact.samplers import MixtureSampler, PrioritizedLevelReplay
 from jaxact.testing import check_pomdp
 
 ASK = 3
@@ -171,3 +172,15 @@ def test_what_cannot_be_corrupted_is_refused():
         corrupt_expert(crossing, -1)
     with pytest.raises(JaxactError, match="only a GoalTask's expert can be corrupted, not that of"):
         corrupt_expert(envs_jax.make("BabyAI-GoToLocal-v0"), 3)
+    learning = replace(crossing, sampler=PrioritizedLevelReplay(crossing.sampler))
+    with pytest.raises(JaxactError, match="PrioritizedLevelReplay learns"):
+        corrupt_expert(learning, 3)
+
+
+def test_a_corrupt_expert_keeps_the_kinds_of_episodes():
+    crossing = envs_jax.make("MiniGrid-LavaGapS5-v0")
+    mixture = MixtureSampler({"one": crossing.sampler, "other": crossing.sampler})
+    sampler = corrupt_expert(replace(crossing, sampler=mixture), 3).sampler
+    episode = sampler.sample(jax.random.key(0), sampler.init(jax.random.key(1)))
+    assert set(sampler.kinds(episode.origin)) == {"one", "other"}
+    assert sampler.held_out == replace(sampler, sampler=mixture.held_out)
