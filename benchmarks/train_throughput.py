@@ -2,10 +2,11 @@
 
 Run `python -m benchmarks.train_throughput`; it prints JSON lines:
 
-* the machine, with the FLOP/s of a large matrix product on it;
-* training: environment steps a second over whole updates, the shares of time spent in the worlds
-  (stepping, observing, turnover), in acting (the policy, sampling) and in updating (advantages and
-  gradient steps), and the model's FLOP/s as a fraction of the matrix product's;
+* the machine;
+* training, on one device and on one for each core: environment steps a second over whole updates,
+  the shares of time spent in the worlds (stepping, observing, turnover), in acting (the policy,
+  sampling) and in updating (advantages and gradient steps), and the model's FLOP/s as a fraction of
+  those of a large matrix product, timed in turn with it;
 * with `--startup`: seconds from the start of the process to the end of the first update, without
   and with the persistent compilation cache.
 """
@@ -15,6 +16,7 @@ from __future__ import annotations
 import json
 import os
 import resource
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -24,6 +26,9 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import tyro
+
+# Side of the square float32 matrices whose product is the measure.
+MATMUL_SIZE = 4096
 
 
 @dataclass(frozen=True)
@@ -36,23 +41,28 @@ class Arguments:
     """PATH=VALUE overrides of the experiment."""
     updates: int = 10
     """Updates in one timed call."""
-    repeats: int = 5
+    repeats: int = 8
     """Timed calls."""
+    devices: tuple[int, ...] = tuple(sorted({1, os.cpu_count() or 1}))
+    """Numbers of devices to shard the lanes over; on a CPU they are simulated."""
     startup: bool = False
     """Measure the time from the start of a process to its first update, too."""
 
 
 def main() -> None:
     """Parses the command line and prints the figures."""
+    import jax
+
     arguments = tyro.cli(Arguments)
-    peak = _matmul_flops(arguments.repeats)
-    _print_machine(peak)
-    print(json.dumps(_measure(arguments, peak)), flush=True)
+    jax.config.update("jax_num_cpu_devices", max(arguments.devices))
+    _print_machine()
+    for devices in arguments.devices:
+        print(json.dumps(_measure(arguments, devices)), flush=True)
     if arguments.startup:
         _measure_startup(arguments)
 
 
-def _print_machine(peak: float) -> None:
+def _print_machine() -> None:
     import jax
     import jaxlib
 
@@ -63,13 +73,13 @@ def _print_machine(peak: float) -> None:
         "jax": jax.__version__,
         "jaxlib": jaxlib.__version__,
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
-        "matmul_gflops": round(peak / 1e9, 1),
     }
     print(json.dumps(machine), flush=True)
 
 
-def _measure(arguments: Arguments, peak: float) -> dict[str, Any]:
+def _measure(arguments: Arguments, devices: int) -> dict[str, Any]:
     import jax
+    import jax.numpy as jnp
     import numpy as np
 
     from jaxact.describe import update_flops
@@ -79,16 +89,22 @@ def _measure(arguments: Arguments, peak: float) -> dict[str, Any]:
     from jaxact.train_state import make_key
 
     experiment = override(load_experiment(arguments.experiment)[0], arguments.set)
-    program = Program(experiment, choose_devices(None))
+    program = Program(experiment, choose_devices(devices))
     numbers, state = program.numbers(), program.start(make_key(0))
     count = np.int32(arguments.updates)
     began = time.perf_counter()
     stage = program.compile_stage(0, arguments.updates)
     compile_seconds = time.perf_counter() - began
 
+    square = jnp.full((MATMUL_SIZE, MATMUL_SIZE), 0.5, jnp.float32)
+    product = jax.jit(lambda x: x @ x)
+    product(square).block_until_ready()
     state, _ = stage(state, numbers, count)
-    seconds = []
+    seconds, matmul_seconds = [], []
     for _ in range(arguments.repeats):
+        began = time.perf_counter()
+        product(square).block_until_ready()
+        matmul_seconds.append(time.perf_counter() - began)
         began = time.perf_counter()
         state, _ = jax.block_until_ready(stage(state, numbers, count))
         seconds.append((time.perf_counter() - began) / arguments.updates)
@@ -97,18 +113,25 @@ def _measure(arguments: Arguments, peak: float) -> dict[str, Any]:
     steps = experiment.pipeline.steps_per_update(experiment.pipeline.stages[0])
     whole = min(seconds)
     flops = update_flops(experiment, 0)
+    peak = 2.0 * MATMUL_SIZE**3 / min(matmul_seconds)
+    ratios = [b / a for a, b in zip(seconds, matmul_seconds, strict=True)]
     return {
         "id": arguments.experiment,
         "system": "jaxact",
+        "devices": devices,
         "lanes": experiment.pipeline.lanes,
         "steps_per_second": round(steps / whole),
-        "steps_per_second_median": round(steps / sorted(seconds)[len(seconds) // 2]),
+        "steps_per_second_median": round(steps / statistics.median(seconds)),
         "share_environment": round(worlds / whole, 3),
         "share_acting": round((rollout - worlds) / whole, 3),
         "share_update": round(1 - rollout / whole, 3),
         "flops_per_step": round(flops),
         "gflops": round(flops * steps / whole / 1e9, 1),
+        "matmul_gflops": round(peak / 1e9, 1),
         "fraction_of_matmul": round(flops * steps / whole / peak, 3),
+        "fraction_of_matmul_median": round(
+            flops * steps / (2.0 * MATMUL_SIZE**3) * statistics.median(ratios), 3
+        ),
         "compile_seconds": round(compile_seconds, 1),
         "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024),
     }
@@ -156,16 +179,6 @@ def _seconds(function: Callable[..., Any], *inputs: Any, repeats: int) -> float:
         jax.block_until_ready(function(*inputs))
         times.append(time.perf_counter() - began)
     return min(times)
-
-
-def _matmul_flops(repeats: int) -> float:
-    """Returns the FLOP/s of a 4096 × 4096 float32 matrix product."""
-    import jax
-    import jax.numpy as jnp
-
-    size = 4096
-    x = jnp.full((size, size), 0.5, jnp.float32)
-    return 2.0 * size**3 / _seconds(jax.jit(lambda x: x @ x), x, repeats=repeats)
 
 
 def _measure_startup(arguments: Arguments) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxact.models.convolution import Convolution
 
@@ -33,12 +34,20 @@ class GridCodes(nn.Module):
     def __call__(self, codes: jax.Array) -> jax.Array:
         """Maps integer codes [..., W, H, len(sizes)] to float32 [..., W, H, features]."""
         index = jnp.zeros(codes.shape[:-1], jnp.int32)
-        table = jnp.zeros((1, self.features), jnp.float32)
+        embeddings = []
         for i, size in enumerate(self.sizes):
             index = index * size + codes[..., i].astype(jnp.int32)
-            embedding = self.param(f"code_{i}", _UNIT, (size, self.features), jnp.float32)
-            table = (table[:, None] + embedding).reshape(-1, self.features)
+            embeddings.append(self.param(f"code_{i}", _UNIT, (size, self.features), jnp.float32))
+        # The sums are a product, because XLA would do additions anew for each cell that looks.
+        table = jnp.asarray(_combinations(tuple(self.sizes))) @ jnp.concatenate(embeddings)
         return table.at[index].get(mode="clip")
+
+
+def _combinations(sizes: tuple[int, ...]) -> np.ndarray:
+    """Returns which codes each combination has, float32 [product of sizes, sum of sizes]."""
+    codes = np.indices(sizes).reshape(len(sizes), -1)
+    pairs = zip(sizes, codes, strict=True)
+    return np.concatenate([np.eye(size, dtype=np.float32)[code] for size, code in pairs], axis=1)
 
 
 class BagOfWords(nn.Module):
@@ -109,14 +118,12 @@ class FiLM(nn.Module):
 class InstructedGrid(nn.Module):
     """A grid view read in the light of an instruction.
 
-    Cells are embedded, modulated by the instruction, passed through a layer of their own (so that a
-    cell can tell that it holds all that is asked for) and laid out as one vector that keeps where
-    each cell was.
+    Cells are embedded, modulated by the instruction (so that a cell can tell that it holds what is
+    asked for) and laid out as one vector that keeps where each cell was.
 
     Attributes:
       features: size of the result.
       cell_features: size of a cell's embedding.
-      mixed_features: size of what a cell passes on.
       words: the instruction's encoder, `BagOfWords` or `WordsGRU`.
       image: name of the grid observation.
       mission: name of the instruction's tokens.
@@ -124,7 +131,6 @@ class InstructedGrid(nn.Module):
 
     features: int = 128
     cell_features: int = 16
-    mixed_features: int = 8
     words: nn.Module = BagOfWords(32)
     image: str = "image"
     mission: str = "mission"
@@ -135,7 +141,6 @@ class InstructedGrid(nn.Module):
         instruction = self.words(observation[self.mission])
         cells = GridCodes(self.cell_features)(observation[self.image])
         cells = nn.relu(FiLM()(cells, instruction))
-        cells = nn.relu(nn.Dense(self.mixed_features, kernel_init=RELU)(cells))
         flat = cells.reshape((*cells.shape[:-3], -1))
         # The sum of two products is the product with both side by side, without the copy.
         hidden = nn.Dense(self.features, kernel_init=RELU)(flat)
