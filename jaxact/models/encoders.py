@@ -118,12 +118,15 @@ class FiLM(nn.Module):
 class InstructedGrid(nn.Module):
     """A grid view read in the light of an instruction.
 
-    Cells are embedded, modulated by the instruction (so that a cell can tell that it holds what is
-    asked for) and laid out as one vector that keeps where each cell was.
+    Cells are embedded, modulated by the instruction, passed through a layer of their own (so that a
+    cell can tell that it holds all that is asked for) and laid out as one vector that keeps where
+    each cell was. Without that layer two of five seeds of PPO alone learnt nothing of GoToLocal in
+    620,000 steps; with it, all five learnt.
 
     Attributes:
       features: size of the result.
       cell_features: size of a cell's embedding.
+      mixed_features: size of what a cell passes on.
       words: the instruction's encoder, `BagOfWords` or `WordsGRU`.
       image: name of the grid observation.
       mission: name of the instruction's tokens.
@@ -131,6 +134,7 @@ class InstructedGrid(nn.Module):
 
     features: int = 128
     cell_features: int = 16
+    mixed_features: int = 8
     words: nn.Module = BagOfWords(32)
     image: str = "image"
     mission: str = "mission"
@@ -141,6 +145,7 @@ class InstructedGrid(nn.Module):
         instruction = self.words(observation[self.mission])
         cells = GridCodes(self.cell_features)(observation[self.image])
         cells = nn.relu(FiLM()(cells, instruction))
+        cells = nn.relu(nn.Dense(self.mixed_features, kernel_init=RELU)(cells))
         flat = cells.reshape((*cells.shape[:-3], -1))
         # The sum of two products is the product with both side by side, without the copy.
         hidden = nn.Dense(self.features, kernel_init=RELU)(flat)
