@@ -6,13 +6,56 @@ do, it is cheaper to bring these together first.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.custom_batching import custom_vmap
 
 PyTree = Any
+
+
+def together(work: Callable[..., PyTree]) -> Callable[..., PyTree]:
+    """Makes of a function of N entries one of a single entry, to be used under `vmap`.
+
+    Args:
+      work: pytrees of arrays with a leading axis N in, a pytree of such arrays out.
+
+    Returns:
+      A function of the same arguments without that axis. However many times it is under `vmap`,
+      `work` gets all entries in one call.
+    """
+
+    @custom_vmap
+    def at_once(*arguments: Any) -> PyTree:
+        return work(*arguments)
+
+    @at_once.def_vmap
+    def fold(axis_size: int, in_batched: Any, *arguments: Any) -> tuple[PyTree, PyTree]:
+        batched = jax.tree.map(
+            lambda leaf, is_batched: (
+                leaf if is_batched else jnp.broadcast_to(leaf, (axis_size, *leaf.shape))
+            ),
+            arguments,
+            tuple(in_batched),
+        )
+        entries = jax.tree.leaves(batched)[0].shape[1]
+        flat = jax.tree.map(
+            lambda leaf: leaf.reshape(axis_size * entries, *leaf.shape[2:]), batched
+        )
+        result = jax.tree.map(
+            lambda leaf: leaf.reshape(axis_size, entries, *leaf.shape[1:]), at_once(*flat)
+        )
+        return result, jax.tree.map(lambda _: True, result)
+
+    @functools.wraps(work)
+    def alone(*arguments: Any) -> PyTree:
+        one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], arguments)
+        return jax.tree.map(lambda leaf: leaf[0], at_once(*one))
+
+    return alone
 
 
 def for_each_chosen(
@@ -50,3 +93,43 @@ def for_each_chosen(
         return left.at[places].set(again, mode="drop"), carry
 
     return jax.lax.while_loop(some_left, do_some, (mask, carry))[1]
+
+
+def while_loop_for_few(
+    is_left: Callable[[PyTree, PyTree], jax.Array],
+    advance: Callable[[PyTree, PyTree], PyTree],
+    carry: PyTree,
+    constants: PyTree,
+    share: int = 8,
+) -> PyTree:
+    """Is `lax.while_loop` for loops that, under `vmap`, few entries enter at all.
+
+    Args:
+      is_left: (carry, constants) -> bool scalar, whether to go on.
+      advance: (carry, constants) -> carry.
+      carry: what the loop begins with.
+      constants: what the loop reads; everything batched has to be passed here or in the carry.
+      share: see `for_each_chosen`.
+
+    Returns:
+      The carry at the end.
+    """
+
+    def loop(carry: PyTree, constants: PyTree) -> PyTree:
+        return jax.lax.while_loop(
+            lambda carry: is_left(carry, constants), lambda carry: advance(carry, constants), carry
+        )
+
+    @together
+    def loops(carry: PyTree, constants: PyTree) -> PyTree:
+        def work(places: jax.Array, rows: jax.Array, carry: PyTree) -> tuple[jax.Array, PyTree]:
+            chosen = jax.tree.map(lambda leaf: leaf[rows], (carry, constants))
+            ended = jax.vmap(loop)(*chosen)
+            carry = jax.tree.map(
+                lambda leaf, new: leaf.at[places].set(new, mode="drop"), carry, ended
+            )
+            return jnp.zeros(places.shape, jnp.bool_), carry
+
+        return for_each_chosen(jax.vmap(is_left)(carry, constants), carry, work, share)
+
+    return loops(carry, constants)

@@ -45,6 +45,7 @@ from envs_jax.minigrid.regions import (
 )
 from envs_jax.minigrid.state import CONTENTS_SHIFT, GridState
 from envs_jax.minigrid.subgoals import Subgoal, inner
+from jaxact.compaction import while_loop_for_few
 from jaxact.pomdp import ExpertAction
 
 _WALKABLE = 1 << tiles.EMPTY | 1 << tiles.FLOOR | 1 << tiles.OPEN_DOOR | 1 << tiles.OPEN_LOCKED_DOOR
@@ -120,7 +121,7 @@ def errand_expert(subgoal: Subgoal, state: GridState, height: int) -> ExpertActi
       An int32 action of `GridWorld`. It is not valid where no way was found.
     """
     world = _survey(subgoal, state)
-    return _advise(subgoal, world, _within_reach(subgoal, world, state, height), state, height)
+    return _advise(subgoal, world, _within_reach(subgoal, world, state), state, height)
 
 
 def first_errand_expert(subgoals: Sequence[Subgoal], state: GridState, height: int) -> ExpertAction:
@@ -140,7 +141,7 @@ def first_errand_expert(subgoals: Sequence[Subgoal], state: GridState, height: i
 
     def prepare(subgoal: Subgoal) -> tuple[Subgoal, _Map, _Step]:
         world = _survey(subgoal, state)
-        return subgoal, world, _within_reach(subgoal, world, state, height)
+        return subgoal, world, _within_reach(subgoal, world, state)
 
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *subgoals)
     prepared = jax.vmap(prepare)(stacked)
@@ -230,30 +231,9 @@ def _contains_key(tile: jax.Array, mark: jax.Array) -> jax.Array:
     return jnp.where(kind == tiles.BOX, content, key)
 
 
-def _within_reach(subgoal: Subgoal, world: _Map, state: GridState, height: int) -> _Step:
+def _within_reach(subgoal: Subgoal, world: _Map, state: GridState) -> _Step:
     """Returns the subgoal, or else what is to be done first and can be done at once."""
     nothing = jnp.zeros_like(subgoal.cells)
-
-    def is_stuck(carry: tuple[_Step, jax.Array]) -> jax.Array:
-        step, depth = carry
-        return ~_any(_ready(step, world)) & _any(step.cells) & (depth < _DEPTH)
-
-    def go_back(carry: tuple[_Step, jax.Array]) -> tuple[_Step, jax.Array]:
-        step, depth = carry
-        obstacles = _obstacles(step, world)
-        cell = first_cell(obstacles)
-        is_lock = _any(cell_board(cell, nothing) & obstacles & step.locks)
-        color = at_index(state.tiles, cell_index(cell, height)) & _COLOR_MASK
-        same_color = planner.pack(inner(state.tiles) & _COLOR_MASK == color)
-        blocked = cell_board(cell, nothing) & obstacles
-        before = _Step(
-            cells=jnp.where(is_lock, _keys(state, color), blocked),
-            action=jnp.int32(PICKUP),
-            is_for_key=is_lock,
-            # A key is not looked for behind the door that it opens.
-            locks=jnp.where(is_lock, step.locks & ~same_color, step.locks),
-        )
-        return before, depth + 1
 
     # With the way cleared only once it is needed, what was picked up would be put down for it and
     # then picked up again, for ever.
@@ -265,8 +245,36 @@ def _within_reach(subgoal: Subgoal, world: _Map, state: GridState, height: int) 
         is_for_key=jnp.bool_(False),
         locks=world.locks,
     )
-    step, _ = lax.while_loop(is_stuck, go_back, (first, jnp.int32(0)))
+    step, _ = while_loop_for_few(_is_stuck, _go_back, (first, jnp.int32(0)), (world, state))
     return step._replace(cells=jnp.where(_any(step.cells), _ready(step, world), nothing))
+
+
+def _is_stuck(carry: tuple[_Step, jax.Array], constants: tuple[_Map, GridState]) -> jax.Array:
+    """Says whether a step, so many steps before the subgoal, is still to be followed back."""
+    (step, depth), (world, _) = carry, constants
+    return ~_any(_ready(step, world)) & _any(step.cells) & (depth < _DEPTH)
+
+
+def _go_back(
+    carry: tuple[_Step, jax.Array], constants: tuple[_Map, GridState]
+) -> tuple[_Step, jax.Array]:
+    """Returns what is to be done before a step; see `_is_stuck`."""
+    (step, depth), (world, state) = carry, constants
+    nothing = jnp.zeros_like(step.cells)
+    obstacles = _obstacles(step, world)
+    cell = first_cell(obstacles)
+    blocked = cell_board(cell, nothing) & obstacles
+    is_lock = _any(blocked & step.locks)
+    color = at_index(state.tiles, cell_index(cell, len(nothing))) & _COLOR_MASK
+    same_color = planner.pack(inner(state.tiles) & _COLOR_MASK == color)
+    before = _Step(
+        cells=jnp.where(is_lock, _keys(state, color), blocked),
+        action=jnp.int32(PICKUP),
+        is_for_key=is_lock,
+        # A key is not looked for behind the door that it opens.
+        locks=jnp.where(is_lock, step.locks & ~same_color, step.locks),
+    )
+    return before, depth + 1
 
 
 def _ready(step: _Step, world: _Map) -> Board:

@@ -20,7 +20,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.custom_batching import custom_vmap
+
+from jaxact.compaction import together
 
 # The first three are MiniGrid's own actions; ACT is for the caller to name (toggle, pickup);
 # ARRIVED says that the pose is a goal already.
@@ -29,6 +30,8 @@ LEFT, RIGHT, FORWARD, ACT, ARRIVED = range(5)
 MAX_WIDTH = 32
 # Relaxations between two looks at whether the search is over.
 _CHUNK = 4
+# When one lane in so many is left, the search goes on with these alone.
+_FEW = 8
 
 Board = jax.Array
 
@@ -123,9 +126,7 @@ def plan(
       The plan's first action and length.
     """
     layer = jnp.asarray(layer, jnp.int32)
-    lane = (terrain, goals, position, direction, layer, jnp.asarray(active))
-    batch: Any = jax.tree.map(lambda leaf: leaf[None], lane)
-    headings, reached = jax.tree.map(lambda leaf: leaf[0], _search(*batch))
+    headings, reached = _search(terrain, goals, position, direction, layer, jnp.asarray(active))
     distance = headings[direction]
     left, right = headings[(direction + 3) % 4], headings[(direction + 1) % 4]
     ahead = position + jnp.array([[1, 0], [0, 1], [-1, 0], [0, -1]], jnp.int32)[direction]
@@ -163,9 +164,12 @@ class _World(NamedTuple):
 
 # Poses reached, as boards[layer][heading].
 _Boards = tuple[tuple[Board, ...], ...]
+# The boards; those of one action ago, nothing without slow cells; int32[4, N], the distances so far
+# of the four headings; bool[N], which lanes wait.
+_Search = tuple[_Boards, _Boards, jax.Array, jax.Array]
 
 
-@custom_vmap
+@together
 def _search(
     terrain: Terrain,
     goals: Board,
@@ -183,7 +187,6 @@ def _search(
     opens, slows, gates, seeds = (
         jnp.moveaxis(boards, 0, -1) for boards in (terrain.open, terrain.slow, terrain.gates, goals)
     )
-
     layered = _World(
         open=tuple(opens),
         slow=tuple(slows),
@@ -195,47 +198,91 @@ def _search(
         layer=layer,
         active=active,
     )
-    own = opens[layer, :, jnp.arange(len(layer))].T
-    plain = layered._replace(open=(own,), slow=None, gates=(), layer=jnp.zeros_like(layer))
     # Few worlds have doors; a look at all lanes at once spares the others layers and slow cells.
-    has_slow, has_gates = jnp.any(terrain.slow != 0), jnp.any(terrain.gates != 0)
-    if layered.gates:
-        variants = [plain, layered._replace(slow=None), layered]
-        variant = jnp.select([~jnp.any(active), has_slow, has_gates], [0, 2, 1], 0)
-    else:
-        variants, variant = [plain, layered], (jnp.any(active) & has_slow).astype(jnp.int32)
-    return lax.switch(variant, [functools.partial(_flood, world) for world in variants])
-
-
-@_search.def_vmap
-def _search_batch(axis_size: int, in_batched: Any, *arguments: Any) -> Any:
-    """Folds one more axis of lanes into the one there is."""
-    batched = jax.tree.map(
-        lambda leaf, is_batched: (
-            leaf if is_batched else jnp.broadcast_to(leaf, (axis_size, *leaf.shape))
-        ),
-        arguments,
-        tuple(in_batched),
+    has_slow, has_gates = (
+        jnp.any(active[:, None, None] & jnp.any(boards != 0, axis=1))
+        for boards in (terrain.slow, terrain.gates)
     )
-    lanes = batched[-1].shape[1]
-    flat = jax.tree.map(lambda leaf: leaf.reshape(axis_size * lanes, *leaf.shape[2:]), batched)
-    result = jax.tree.map(
-        lambda leaf: leaf.reshape(axis_size, lanes, *leaf.shape[1:]), _search(*flat)
+    world = jax.tree.map(
+        lambda all_layers, own: jnp.where(has_gates, all_layers, own), layered, _own_layer(layered)
     )
-    return result, (True, True)
+    few = len(layer) // _FEW
+    levels = [1, len(opens)] if gates.shape[0] else [1]
+    variants = [(level, has_slow) for level in levels for has_slow in (False, True)]
+    variant = has_slow.astype(jnp.int32) + 2 * has_gates.astype(jnp.int32)
+    carry = lax.switch(variant, [functools.partial(_begin, world, few, *v) for v in variants])
+    headings, missed = carry[2], _waiting(world, carry[0])
+    if few > 0:
+        lanes, headings_of_few, missed_of_few = _go_on(world, few, carry)
+        headings = headings.at[:, lanes].set(headings_of_few, mode="drop")
+        missed = missed.at[lanes].set(missed_of_few, mode="drop")
+    return headings.T, active & ~missed
 
 
-def _flood(world: _World) -> tuple[jax.Array, jax.Array]:
-    """Grows the reached poses from the goals until every lane has arrived or nothing grows."""
-    passable = world.open
-    if world.slow is not None:
-        passable = tuple(a | b for a, b in zip(world.open, world.slow, strict=True))
-    seeds = tuple(tuple(goal & cells for goal in world.goals) for cells in passable)
+def _own_layer(world: _World) -> _World:
+    """Returns the world with each lane's layer as the first, and nothing in the others."""
+    lanes = jnp.arange(len(world.layer))
+
+    def alone(boards: tuple[Board, ...]) -> tuple[Board, ...]:
+        own = jnp.stack(boards)[world.layer, :, lanes].T
+        return (own, *(jnp.zeros_like(own) for _ in boards[1:]))
+
+    assert world.slow is not None
+    return world._replace(
+        open=alone(world.open),
+        slow=alone(world.slow),
+        gates=jax.tree.map(jnp.zeros_like, world.gates),
+        layer=jnp.zeros_like(world.layer),
+    )
+
+
+def _begin(world: _World, few: int, levels: int, has_slow: bool) -> _Search:
+    """Searches in so many layers, with or without slow cells, until only few lanes wait."""
+    assert world.slow is not None
+    part = world._replace(
+        open=world.open[:levels],
+        slow=world.slow[:levels] if has_slow else None,
+        gates=world.gates[: levels - 1],
+    )
+    boards = tuple(tuple(goal & cells for goal in world.goals) for cells in _passable(part))
+    before: Any = jax.tree.map(jnp.zeros_like, boards) if has_slow else ()
+    headings = jnp.zeros((4, len(world.active)), jnp.int32)
+    carry = _grow(part, (boards, before, headings, _waiting(part, boards)), few)
+    boards, before, headings, waits = carry
+    rest = jax.tree.map(jnp.zeros_like, (boards[0],) * (len(world.open) - levels))
+    # Where there are no slow cells, it does not matter what is taken for the boards before.
+    return (*boards, *rest), (*(before if has_slow else boards), *rest), headings, waits
+
+
+def _go_on(world: _World, few: int, carry: _Search) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Searches on in the few lanes that wait, by themselves.
+
+    Returns:
+      int32[few], which lanes they are (others than there are, where they are fewer); int32[4, few],
+      their distances; and bool[few], whether their poses were not reached.
+    """
+    size = len(world.active)
+    lanes = jnp.nonzero(carry[-1], size=few, fill_value=size)[0].astype(jnp.int32)
+    part, (boards, before, headings, waits) = jax.tree.map(
+        lambda leaf: jnp.take(leaf, lanes, axis=-1, mode="clip"), (world, carry)
+    )
+    carry = _grow(part, (boards, before, headings, waits & (lanes < size)), 0)
+    return lanes, carry[2], _waiting(part, carry[0])
+
+
+def _passable(world: _World) -> tuple[Board, ...]:
+    if world.slow is None:
+        return world.open
+    return tuple(a | b for a, b in zip(world.open, world.slow, strict=True))
+
+
+def _grow(world: _World, carry: _Search, few: int) -> _Search:
+    """Grows the reached poses for as long as more than a few lanes wait."""
+    passable = _passable(world)
 
     def once(_: int, carry: Any) -> Any:
         boards, before, headings = carry
         grown = _relax(world, passable, boards, before)
-        # Without slow cells the boards of one action ago are never read.
         before = before if world.slow is None else boards
         return grown, before, headings + _missing(world, boards)
 
@@ -247,11 +294,10 @@ def _flood(world: _World) -> tuple[jax.Array, jax.Array]:
         growing = jnp.any(changed != 0, axis=0)
         return boards, before, headings, _waiting(world, boards) & growing
 
-    before: Any = () if world.slow is None else jax.tree.map(jnp.zeros_like, seeds)
-    headings = jnp.zeros((4, *world.active.shape), jnp.int32)
-    carry = (seeds, before, headings, _waiting(world, seeds))
-    boards, _, headings, _ = lax.while_loop(lambda carry: jnp.any(carry[-1]), chunk, carry)
-    return headings.T, world.active & ~_waiting(world, boards)
+    def many_wait(carry: Any) -> jax.Array:
+        return jnp.sum(carry[-1], dtype=jnp.int32) > few
+
+    return lax.while_loop(many_wait, chunk, carry)
 
 
 def _relax(world: _World, passable: Any, boards: _Boards, before: Any) -> _Boards:

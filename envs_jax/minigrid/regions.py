@@ -7,6 +7,10 @@ import jax.numpy as jnp
 from jax import lax
 
 from envs_jax.minigrid.planner import Board
+from jaxact.compaction import together
+
+# Steps of growth between two looks at whether there was any.
+_CHUNK = 4
 
 
 def cell_board(cell: jax.Array, like: Board) -> Board:
@@ -26,39 +30,52 @@ def around(cells: Board) -> Board:
     return wide | _down(wide) | _up(wide)
 
 
+@together
 def spread(seeds: Board, passable: Board) -> Board:
     """Grows `seeds` through passable cells."""
-
-    def grows(carry: tuple[Board, Board]) -> jax.Array:
-        before, now = carry
-        return jnp.any(before != now)
-
-    def grow(carry: tuple[Board, Board]) -> tuple[Board, Board]:
-        _, now = carry
-        return now, now | (beside(now) & passable)
-
-    _, reached = lax.while_loop(grows, grow, (jnp.zeros_like(seeds), seeds))
-    return reached
+    return _spread(seeds.T, passable.T).T
 
 
+@together
 def nearest(seeds: Board, passable: Board, obstacles: Board, sought: Board) -> Board:
     """Returns the obstacles among `sought` with the fewest other obstacles between them and seeds.
 
     The fewest, not the nearest in cells: moving something away from the side of a row of
     obstacles, where another one can be passed at once, could go on for ever.
     """
+    passable, obstacles, sought = passable.T, obstacles.T, sought.T
 
-    def grows(carry: tuple[Board, Board]) -> jax.Array:
-        before, now = carry
-        return jnp.any(before != now) & ~jnp.any(now & obstacles & sought != 0)
+    def grow(carry: tuple[Board, jax.Array]) -> tuple[Board, jax.Array]:
+        now, grows = carry
+        region = _spread(jnp.where(grows, now, _none(now)), passable)
+        grown = jnp.where(grows, region | beside(region) & obstacles, now)
+        found = jnp.any(grown & obstacles & sought != 0, axis=0)
+        return grown, jnp.any(grown != now, axis=0) & ~found
 
-    def grow(carry: tuple[Board, Board]) -> tuple[Board, Board]:
-        _, now = carry
-        region = spread(now, passable)
-        return now, region | beside(region) & obstacles
+    def some_grow(carry: tuple[Board, jax.Array]) -> jax.Array:
+        return jnp.any(carry[1])
 
-    _, reached = lax.while_loop(grows, grow, (jnp.zeros_like(seeds), seeds))
-    return reached & obstacles & sought
+    start = seeds.T
+    begin = (start, jnp.any(start != 0, axis=0) & ~jnp.any(start & obstacles & sought != 0, axis=0))
+    reached, _ = lax.while_loop(some_grow, grow, begin)
+    return (reached & obstacles & sought).T
+
+
+def _spread(seeds: Board, passable: Board) -> Board:
+    """Grows seeds word[H, N] of N lanes: with lanes last, the inner loops run along them."""
+
+    def grow(_: int, now: Board) -> Board:
+        return now | beside(now) & passable
+
+    def chunk(carry: tuple[Board, jax.Array]) -> tuple[Board, jax.Array]:
+        before, _ = carry
+        now = lax.fori_loop(0, _CHUNK, grow, before)
+        return now, jnp.any(now != before)
+
+    def grows(carry: tuple[Board, jax.Array]) -> jax.Array:
+        return carry[1]
+
+    return lax.while_loop(grows, chunk, (seeds, jnp.any(seeds != 0)))[0]
 
 
 def first_cell(cells: Board) -> jax.Array:
@@ -98,8 +115,8 @@ def _none(like: Board) -> jax.Array:
 
 
 def _down(cells: Board) -> Board:
-    return lax.pad(cells, _none(cells), [(1, -1, 0)])
+    return lax.pad(cells, _none(cells), [(1, -1, 0), *[(0, 0, 0)] * (cells.ndim - 1)])
 
 
 def _up(cells: Board) -> Board:
-    return lax.pad(cells, _none(cells), [(-1, 1, 0)])
+    return lax.pad(cells, _none(cells), [(-1, 1, 0), *[(0, 0, 0)] * (cells.ndim - 1)])

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from grid_search import DONE, FORWARD, LEFT, RIGHT, Model, model_of
+from relaxed_search import Level, level_of
 
 import envs_jax
 from envs_jax.minigrid import tiles
@@ -98,6 +99,48 @@ def test_picks_up_what_can_be_reached_by_the_shortest_way() -> None:
 def test_abstains_where_there_is_nothing_to_do() -> None:
     pomdp = without_sensors("MiniGrid-Playground-v0")
     assert np.all(follow(pomdp, *reset(pomdp, 4)).abstained)
+
+
+def test_proof_of_what_cannot_be_done() -> None:
+    """The agent `@`, a red key in a box `b` beside a ball `o`, and red locked doors `=`."""
+    letters = {
+        "#": tiles.WALL_TILE,
+        "=": tiles.tile(tiles.LOCKED_DOOR),
+        "b": tiles.tile(tiles.BOX, tiles.GREY),
+        "o": tiles.tile(tiles.BALL),
+    }
+
+    def may_be_solved(rows: list[str], mission: str, strict: bool = False) -> bool:
+        cells = {(x, y): letter for y, row in enumerate(rows) for x, letter in enumerate(row)}
+        start, box = (next(c for c in cells if cells[c] == letter) for letter in "@b")
+        grid = {cell: letters.get(letter, tiles.EMPTY_TILE) for cell, letter in cells.items()}
+        return Level(grid, {box: tiles.RED}, start, 0, mission, strict).may_be_solved()
+
+    before, behind = ["#######", "#@ob= #", "#######"], ["#######", "#@o =b#", "#######"]
+    assert may_be_solved(before, "open the red door")
+    assert not may_be_solved(before, "open the red door", strict=True)
+    assert not may_be_solved(before, "open the blue door")
+    assert not may_be_solved(behind, "open the red door")
+    assert may_be_solved(behind, "go to a ball")
+    assert not may_be_solved(behind, "pick up the grey box")
+
+
+# Worlds of which some levels cannot be solved, as in the package: the key is behind its own door.
+UNSOLVABLE = ["BabyAI-GoToImpUnlock-v0"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", UNSOLVABLE)
+def test_abstains_only_where_nothing_helps(name: str) -> None:
+    pomdp = without_sensors(name)
+    keys, state = reset(pomdp, 1000)
+    record = follow(pomdp, keys, state)
+    assert np.any(record.abstained)
+    lanes = jax.tree.map(np.asarray, state)
+    for lane in range(1000):
+        level = level_of(jax.tree.map(lambda leaf, i=lane: leaf[i], lanes), "Debug" in name)
+        assert level.may_be_solved() == record.won[lane], lane
+        assert record.won[lane] == ~record.abstained[lane], lane
 
 
 # Shares of episodes in which the expert does not succeed. All but the last are levels that cannot
