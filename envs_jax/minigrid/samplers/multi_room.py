@@ -51,7 +51,8 @@ class MultiRoomSampler(TaskSampler):
         """Draws one episode."""
         del sampler_state
         chain_key, key = jax.random.split(key)
-        rooms = placement.until_valid(chain_key, self._draw_chain)
+        count = 2 + 2 * _TRIES * (self.num_rooms - 1)
+        rooms = placement.until_valid(chain_key, count, self._draw_chain)
         draws = jax.random.uniform(key, (self.num_rooms + 2,), jnp.float32)
         board = self._build(rooms, draws[3:])
         position, _ = placement.choose_cell(draws[0], self._free(board, rooms, 0))
@@ -61,9 +62,8 @@ class MultiRoomSampler(TaskSampler):
         state = placement.grid_state(board, position, direction)
         return placement.goal_episode(state, encode_mission(MISSION), self.max_steps)
 
-    def _draw_chain(self, key: jax.Array) -> tuple[_Rooms, jax.Array]:
-        """Draws a chain of rooms; returns it and whether it is complete."""
-        draws = jax.random.uniform(key, (2 + 2 * _TRIES * (self.num_rooms - 1),), jnp.float32)
+    def _draw_chain(self, draws: jax.Array) -> tuple[_Rooms, jax.Array]:
+        """Makes a chain of rooms; returns it and whether it is complete."""
         column, rest = placement.split_draw(draws[0], self.size - 2)
         row = placement.uniform_int(rest, 0, self.size - 2)
         width, height, _ = self._draw_size(draws[1])

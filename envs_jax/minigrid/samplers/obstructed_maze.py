@@ -12,6 +12,7 @@ from envs_jax.minigrid.environment import heading
 from envs_jax.minigrid.samplers import placement
 from envs_jax.minigrid.samplers.room_grid import (
     RIGHT,
+    Int,
     Layout,
     Room,
     RoomGrid,
@@ -89,12 +90,17 @@ class ObstructedMazeSampler(TaskSampler):
 
     def _open_quarters(self, layout: Layout, colors: jax.Array, draws: jax.Array) -> Layout:
         """Adds the doors of all quarters, their keys and balls; one draw a key."""
-        for quarter, room in enumerate(_SIDE_ROOMS[: self.quarters]):
+
+        def open_quarter(
+            layout: Layout, item: tuple[jax.Array, jax.Array, jax.Array]
+        ) -> tuple[Layout, None]:
+            quarter, (column, row), draws = item
+            room = column, row
             layout, _ = self.grid.add_door(layout, (1, 1), quarter, colors[quarter], False)
             # Each locked door with its colour and the draw for its key.
             locks = [
-                ((quarter + turn) % 4, colors[(quarter + turn) % 6], draws[2 * quarter + number])
-                for number, turn in enumerate((-1, 1))
+                ((quarter + turn) % 4, colors[(quarter + turn) % 6], draw)
+                for turn, draw in zip((-1, 1), draws, strict=True)
             ]
             for side, color, draw in locks:
                 layout = self._add_lock(layout, room, side, color)
@@ -103,13 +109,17 @@ class ObstructedMazeSampler(TaskSampler):
             if self.keys_last:
                 for _, color, draw in locks:
                     layout = self._add_key(layout, room, color, draw)
-        return layout
+            return layout, None
 
-    def _add_lock(self, layout: Layout, room: Room, side: int, color: jax.Array) -> Layout:
+        numbers = jnp.arange(self.quarters, dtype=jnp.int32)
+        rooms = jnp.array(_SIDE_ROOMS[: self.quarters], jnp.int32)
+        return jax.lax.scan(open_quarter, layout, (numbers, rooms, draws.reshape(-1, 2)))[0]
+
+    def _add_lock(self, layout: Layout, room: Room, side: Int, color: jax.Array) -> Layout:
         """Adds a locked door, and before it a ball if doors are blocked."""
         layout, cell = self.grid.add_door(layout, room, side, color, True)
         if self.blocked:
-            layout = self.grid.put(layout, cell - heading(jnp.int32(side)), _BLOCKER)
+            layout = self.grid.put(layout, cell - heading(jnp.asarray(side, jnp.int32)), _BLOCKER)
         return layout
 
     def _add_key(self, layout: Layout, room: Room, color: jax.Array, draw: jax.Array) -> Layout:

@@ -123,8 +123,7 @@ def bit_counts(words: jax.Array) -> jax.Array:
 
 def _running_sums(counts: jax.Array) -> jax.Array:
     """Returns the running sums of a short int32[n]; n² additions beat n dependent ones here."""
-    places = jnp.arange(counts.shape[0], dtype=jnp.int32)
-    earlier = places[None, :] <= places[:, None]
+    earlier = np.tri(counts.shape[0], dtype=bool)
     return jnp.sum(jnp.where(earlier, counts[None, :], 0), axis=1, dtype=jnp.int32)
 
 
@@ -216,30 +215,44 @@ def spread(rows: jax.Array) -> jax.Array:
 
 def packed_rows(cells: jax.Array) -> jax.Array:
     """Packs bool[..., height] into uint32[...], bit y for cell y (height ≤ 32)."""
-    bits = jnp.uint32(1) << jnp.arange(cells.shape[-1], dtype=jnp.uint32)
+    bits = np.uint32(1) << np.arange(cells.shape[-1], dtype=np.uint32)
     return jnp.sum(jnp.where(cells, bits, jnp.uint32(0)), axis=-1, dtype=jnp.uint32)
 
 
-def until_valid(key: jax.Array, draw: Callable[[jax.Array], tuple[Any, jax.Array]]) -> Any:
+def until_valid(
+    key: jax.Array, count: int, draw: Callable[[jax.Array], tuple[Any, jax.Array]]
+) -> Any:
     """Draws whole levels until one is valid, as MiniGrid's rejection sampling does.
 
     In a batch only the levels that were not valid are drawn again.
 
     Args:
       key: a PRNG key.
-      draw: turns a key into a level (any pytree) and a bool, whether it is valid. It must not
-        depend on other traced values.
+      count: how many draws a level takes.
+      draw: turns uniform float32[count] in [0, 1), the only randomness, into a level (any pytree)
+        and a bool, whether it is valid. It must not depend on other traced values.
     """
 
-    @jax.jit  # So that it is traced once.
-    def attempt(key: jax.Array) -> tuple[jax.Array, Any, jax.Array]:
+    def draws_of(key: jax.Array) -> tuple[jax.Array, jax.Array]:
         next_key, draw_key = jax.random.split(key)
-        return next_key, *draw(draw_key)
+        return next_key, jax.random.uniform(draw_key, (count,), jnp.float32)
+
+    # Loops carry the draws of the next attempt: what is carried is computed once. XLA would repeat
+    # the hash in every kernel that uses some of the draws, which takes long to compile.
+    @jax.jit  # So that it is traced once.
+    def attempt(
+        chance: tuple[jax.Array, jax.Array],
+    ) -> tuple[tuple[jax.Array, jax.Array], Any, jax.Array]:
+        next_key, draws = chance
+        return draws_of(next_key), *draw(draws)
 
     @jax.custom_batching.custom_vmap
     def first_valid(key: jax.Array) -> Any:
+        chance = draws_of(key)
         _, level, _ = jax.lax.while_loop(
-            lambda tried: ~tried[2], lambda tried: attempt(tried[0]), attempt(key)
+            lambda tried: ~tried[2],
+            lambda tried: attempt(tried[0]),
+            (chance, *jax.tree.map(jnp.zeros_like, jax.eval_shape(attempt, chance)[1:])),
         )
         return level
 
@@ -248,18 +261,20 @@ def until_valid(key: jax.Array, draw: Callable[[jax.Array], tuple[Any, jax.Array
         del batched  # There is no other argument that could be the batched one.
 
         def try_some(
-            places: jax.Array, rows: jax.Array, found: tuple[jax.Array, Any]
-        ) -> tuple[jax.Array, tuple[jax.Array, Any]]:
-            new_keys, new_levels, valid = jax.vmap(attempt)(found[0][rows])
+            places: jax.Array, rows: jax.Array, found: tuple[Any, Any]
+        ) -> tuple[jax.Array, tuple[Any, Any]]:
+            chances = jax.tree.map(lambda leaf: leaf[rows], found[0])
+            new_chances, new_levels, valid = jax.vmap(attempt)(chances)
             found = jax.tree.map(
-                lambda x, y: x.at[places].set(y, mode="drop"), found, (new_keys, new_levels)
+                lambda x, y: x.at[places].set(y, mode="drop"), found, (new_chances, new_levels)
             )
             return ~valid, found
 
-        shapes = jax.eval_shape(jax.vmap(attempt), keys)[1]
-        nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+        chances = jax.vmap(draws_of)(keys)
+        shapes = jax.eval_shape(jax.vmap(attempt), chances)[1]
+        nothing = jax.tree.map(jnp.zeros_like, shapes)
         everyone = jnp.ones(size, bool)
-        _, levels = for_each_chosen(everyone, (keys, nothing), try_some, share=16)
+        _, levels = for_each_chosen(everyone, (chances, nothing), try_some, share=16)
         return levels, jax.tree.map(lambda _: True, levels)
 
     return first_valid(key)

@@ -78,22 +78,20 @@ class LevelSampler(TaskSampler):
     def sample(self, key: jax.Array, sampler_state: PyTree) -> Episode:
         """Draws one episode."""
         del sampler_state
-        layout, sentence = placement.until_valid(key, self.draw)
-        return self.begin(layout, sentence)
-
-    def draw(self, key: jax.Array) -> tuple[tuple[Layout, Sentence], jax.Array]:
-        """Draws one level; returns it and whether it is valid."""
-        # All in one call: random bits are the dearest part of a level.
         shapes = (self.grid.walls, *self.draw_shapes)
         sizes = [prod(shape) for shape in shapes]
-        numbers = jax.random.uniform(key, (sum(sizes),), jnp.float32)
-        ends = [sum(sizes[: n + 1]) for n in range(len(sizes))]
-        walls, *draws = (
-            numbers[end - size : end].reshape(shape)
-            for end, size, shape in zip(ends, sizes, shapes, strict=True)
-        )
-        layout, sentence = self.furnish(self.grid.closed(walls), *draws)
-        return (layout, sentence), layout.valid
+
+        def draw(numbers: jax.Array) -> tuple[tuple[Layout, Sentence], jax.Array]:
+            ends = [sum(sizes[: n + 1]) for n in range(len(sizes))]
+            walls, *draws = (
+                numbers[end - size : end].reshape(shape)
+                for end, size, shape in zip(ends, sizes, shapes, strict=True)
+            )
+            layout, sentence = self.furnish(self.grid.closed(walls), *draws)
+            return (layout, sentence), layout.valid
+
+        layout, sentence = placement.until_valid(key, sum(sizes), draw)
+        return self.begin(layout, sentence)
 
     def begin(self, layout: Layout, sentence: Sentence) -> Episode:
         """Returns the episode of a valid level."""
@@ -172,10 +170,11 @@ def join(*clauses: Sentence) -> Sentence:
     return jax.tree.map(lambda *parts: jnp.concatenate(parts), *clauses)
 
 
-def leave_out(said: jax.Array, one: Sentence) -> Sentence:
-    """Returns clause `one` if it is to be `said`, or else a gap."""
-    return one._replace(
-        verbs=jnp.where(said, one.verbs, NOTHING), joints=jnp.where(said, one.joints, ALONE)
+def leave_out(said: jax.Array, clauses: Sentence) -> Sentence:
+    """Returns a sentence with gaps for the clauses, bool or bool[n], that are not to be `said`."""
+    return clauses._replace(
+        verbs=jnp.where(said, clauses.verbs, NOTHING),
+        joints=jnp.where(said, clauses.joints, ALONE),
     )
 
 

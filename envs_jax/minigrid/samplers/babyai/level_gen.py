@@ -11,6 +11,7 @@ import numpy as np
 from envs_jax.minigrid import tiles
 from envs_jax.minigrid.instructions import (
     AFTER,
+    ALONE,
     AND,
     GO_TO,
     MAX_CLAUSES,
@@ -24,9 +25,7 @@ from envs_jax.minigrid.samplers.babyai.level import (
     LevelSampler,
     Shape,
     choose,
-    clause,
     describe,
-    join,
     leave_out,
     put_next_is_possible,
     random_color,
@@ -126,18 +125,15 @@ class LevelGenSampler(LevelSampler):
 
         doors = grid.door_cells(layout).reshape(-1, 2)
         groups = [
-            (placed.codes, placed.cells, jnp.bool_(True)),
+            (placed.codes, placed.cells, jnp.ones(self.num_objects, bool)),
             (layout.plane[doors[:, 0], doors[:, 1]], doors, layout.joined.reshape(-1)),
         ]
         if key is not None:
-            groups.append((key[0][None], key[1][None], is_locked))
-        fits = self._fits(layout, groups)
+            groups.append((key[0][None], key[1][None], is_locked[None]))
+        codes, cells, here = (jnp.concatenate(parts) for parts in zip(*groups, strict=True))
         if self.locked_room > 0 and not self.implicit_unlock:
-            outside = [
-                (codes, cells, here & ~(grid.in_room(locked)[cells[:, 0], cells[:, 1]] & is_locked))
-                for codes, cells, here in groups
-            ]
-            fits &= self._fits(layout, outside)
+            here &= ~(grid.in_room(locked)[cells[:, 0], cells[:, 1]] & is_locked)
+        fits = self._fits(layout, codes, cells, here)
         sentence, found = self._sentence(fits, verbs, descriptions, order)
         valid &= found
         if PUT_NEXT in self.verbs:
@@ -184,22 +180,22 @@ class LevelGenSampler(LevelSampler):
         return (number // self.grid.rows, number % self.grid.rows), rest
 
     def _fits(
-        self, layout: Layout, groups: list[tuple[jax.Array, jax.Array, jax.Array]]
+        self, layout: Layout, codes: jax.Array, cells: jax.Array, here: jax.Array
     ) -> jax.Array:
         """Returns which descriptions fit anything, bool[kinds, colours, locations].
 
         Args:
           layout: the level.
-          groups: tiles uint8[n], cells int32[n, 2] and which of them there are, bool[n] or bool.
+          codes: tiles uint8[n] that descriptions may be of.
+          cells: int32[n, 2], where they are.
+          here: bool[n], which of them count.
         """
         places = located(layout.agent, layout.direction, self.grid.room_size)
         kinds = jnp.array(_KINDS, jnp.int32)[:, None, None]
-        present = jnp.zeros((len(_KINDS), _LOCATIONS), jnp.uint32)
-        for codes, cells, here in groups:
-            there = inside(places.T[..., None], cells[:, 0], cells[:, 1])
-            found = (kind_of(codes) == kinds) & there & here
-            color = jnp.uint32(1) << color_of(codes).astype(jnp.uint32)
-            present |= jax.lax.reduce_or(jnp.where(found, color, jnp.uint32(0)), axes=(2,))
+        there = inside(places.T[..., None], cells[:, 0], cells[:, 1])
+        found = (kind_of(codes) == kinds) & there & here
+        color = jnp.uint32(1) << color_of(codes).astype(jnp.uint32)
+        present = jax.lax.reduce_or(jnp.where(found, color, jnp.uint32(0)), axes=(2,))
         # Sets of colours are bits; the first of `_COLORS` stands for all.
         wanted = np.array([2**tiles.NUM_COLORS - 1, *(2**n for n in range(tiles.NUM_COLORS))])
         return present[:, None] & wanted.astype(np.uint32)[:, None] != 0
@@ -253,29 +249,20 @@ class LevelGenSampler(LevelSampler):
         things, places = (Description(*(part[which] for part in found)) for which in range(2))
         known = known[0] & (known[1] | (choice != PUT_NEXT))
 
-        def one(number: int, joint: jax.Array | int) -> Sentence:
-            thing, place = jax.tree.map(lambda part: part[number], (things, places))
-            puts = choice[number] == PUT_NEXT
-            place = jax.tree.map(lambda *two: jnp.where(puts, *two), place, thing)
-            return clause(choice[number], thing, place, joint)
-
-        if not self.sequences:
-            return one(0, 0), known[0]
-        shape = choose(order[0], 3)  # One action, two at once, or one after the other.
-        doubles = order[1:3] < 0.5
-        joint = jnp.where(order[3] < 0.5, THEN, AFTER)
-        in_turn = shape == 2
-        said = jnp.stack(
-            [
-                jnp.bool_(True),
-                (shape == 1) | (in_turn & doubles[0]),
-                in_turn,
-                in_turn & doubles[1],
-            ]
-        )
-        joints: tuple[jax.Array | int, ...] = (0, AND, joint, AND)
-        clauses = [leave_out(said[n], one(n, joints[n])) for n in range(MAX_CLAUSES)]
-        return join(*clauses), jnp.all(known | ~said)
+        puts = choice == PUT_NEXT
+        places = jax.tree.map(lambda *two: jnp.where(puts, *two), places, things)
+        count = len(choice)
+        joints, said = jnp.full(count, ALONE, jnp.int32), jnp.ones(count, bool)
+        if self.sequences:
+            shape = choose(order[0], 3)  # One action, two at once, or one after the other.
+            doubles = order[1:3] < 0.5
+            joint = jnp.where(order[3] < 0.5, THEN, AFTER)
+            joints = jnp.array([ALONE, AND, 0, AND], jnp.int32).at[2].set(joint)
+            in_turn = shape == 2
+            first_double = (shape == 1) | (in_turn & doubles[0])
+            said = jnp.stack([jnp.bool_(True), first_double, in_turn, in_turn & doubles[1]])
+        sentence = Sentence(choice, things, places, joints, jnp.zeros(count, bool))
+        return leave_out(said, sentence), jnp.all(known | ~said)
 
 
 def _speaks_of_key(sentence: Sentence, color: jax.Array) -> jax.Array:

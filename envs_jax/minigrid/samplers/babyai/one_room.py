@@ -52,7 +52,8 @@ class GoToSampler(TaskSampler):
     def sample(self, key: jax.Array, sampler_state: PyTree) -> Episode:
         """Draws one episode."""
         del sampler_state
-        level = placement.until_valid(key, self._draw)
+        # One draw for the agent and one for each object: random bits are the dearest part of this.
+        level = placement.until_valid(key, 1 + self.num_objects, self._draw)
         tracked = (level.board == level.codes[0]).astype(jnp.uint16)
         state = placement.grid_state(level.board, level.position, level.direction, tracked)
         horizon = jnp.int32(self.max_steps)
@@ -69,10 +70,8 @@ class GoToSampler(TaskSampler):
         )
         return Episode(state, task, horizon)
 
-    def _draw(self, key: jax.Array) -> tuple[_Level, jax.Array]:
-        """Draws one level; returns it and whether it is valid."""
-        # One draw for the agent and one for each object: random bits are the dearest part of this.
-        draws = jax.random.uniform(key, (1 + self.num_objects,), jnp.float32)
+    def _draw(self, draws: jax.Array) -> tuple[_Level, jax.Array]:
+        """Makes one level of float32[1 + num_objects]; returns it and whether it is valid."""
         direction, agent_draw = placement.split_draw(draws[0], 4)
         looks, cell_draws = placement.split_draw(draws[1:], 3 * tiles.NUM_COLORS)
         kinds, colors = tiles.KEY + looks % 3, looks // 3
