@@ -165,6 +165,7 @@ LOST = {
     "MiniGrid-ObstructedMaze-2Dlhb-v0": 0.07,
     "MiniGrid-ObstructedMaze-2Q-v0": 0.03,
     "BabyAI-MiniBossLevel-v0": 0.002,
+    "BabyAI-SynthS5R2-v0": 0.016,
 }
 EPISODES = 2000
 # In the others there is nothing to do, or the expert is meant to fail.
@@ -179,6 +180,8 @@ def test_solves_every_world_within_its_horizon(name: str) -> None:
     lost = LOST.get(name, 0.0)
     deviation = np.sqrt(lost * (1 - lost) / EPISODES)
     assert np.mean(~record.won) <= lost + 3 * deviation + 0.001
-    # Of two strict doors the first can be opened, so there it does not abstain.
-    if not name.startswith(("BabyAI-OpenDoorsOrder", "BabyAI-MiniBossLevel")):
+    # Of two strict doors the first can be opened, so there it does not abstain; nor does it where
+    # rooms are too full to put anything down.
+    crowded = ("BabyAI-MiniBossLevel-v0", "BabyAI-SynthS5R2-v0")
+    if not name.startswith(("BabyAI-OpenDoorsOrder", *crowded)):
         assert np.mean(record.won | record.abstained) >= 0.999
