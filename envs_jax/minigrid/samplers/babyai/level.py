@@ -78,20 +78,28 @@ class LevelSampler(TaskSampler):
     def sample(self, key: jax.Array, sampler_state: PyTree) -> Episode:
         """Draws one episode."""
         del sampler_state
-        shapes = (self.grid.walls, *self.draw_shapes)
-        sizes = [prod(shape) for shape in shapes]
-
-        def draw(numbers: jax.Array) -> tuple[tuple[Layout, Sentence], jax.Array]:
-            ends = [sum(sizes[: n + 1]) for n in range(len(sizes))]
-            walls, *draws = (
-                numbers[end - size : end].reshape(shape)
-                for end, size, shape in zip(ends, sizes, shapes, strict=True)
-            )
-            layout, sentence = self.furnish(self.grid.closed(walls), *draws)
-            return (layout, sentence), layout.valid
-
-        layout, sentence = placement.until_valid(key, sum(sizes), draw)
+        layout, sentence = placement.until_valid(key, self.num_draws, self.draw)
         return self.begin(layout, sentence)
+
+    @property
+    def num_draws(self) -> int:
+        """How many draws a level takes."""
+        return sum(map(prod, self._shapes))
+
+    def draw(self, draws: jax.Array) -> tuple[tuple[Layout, Sentence], jax.Array]:
+        """Makes one level of float32[num_draws] in [0, 1); returns it and whether it is valid."""
+        parts, end = [], 0
+        for shape in self._shapes:
+            parts.append(draws[end : end + prod(shape)].reshape(shape))
+            end += prod(shape)
+        walls, *rest = parts
+        layout, sentence = self.furnish(self.grid.closed(walls), *rest)
+        return (layout, sentence), layout.valid
+
+    @property
+    def _shapes(self) -> tuple[Shape, ...]:
+        """Shapes of all draws: for the walls' doors, and those of `furnish`."""
+        return (self.grid.walls, *self.draw_shapes)
 
     def begin(self, layout: Layout, sentence: Sentence) -> Episode:
         """Returns the episode of a valid level."""
