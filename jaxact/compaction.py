@@ -95,6 +95,11 @@ def for_each_chosen(
     return jax.lax.while_loop(some_left, do_some, (mask, carry))[1]
 
 
+def put_rows(tree: PyTree, places: jax.Array, rows: PyTree) -> PyTree:
+    """Writes rows [n, ...] to places [n] of a tree of arrays [N, ...]; places of N are ignored."""
+    return jax.tree.map(lambda leaf, new: leaf.at[places].set(new, mode="drop"), tree, rows)
+
+
 def while_loop_for_few(
     is_left: Callable[[PyTree, PyTree], jax.Array],
     advance: Callable[[PyTree, PyTree], PyTree],
@@ -125,10 +130,7 @@ def while_loop_for_few(
         def work(places: jax.Array, rows: jax.Array, carry: PyTree) -> tuple[jax.Array, PyTree]:
             chosen = jax.tree.map(lambda leaf: leaf[rows], (carry, constants))
             ended = jax.vmap(loop)(*chosen)
-            carry = jax.tree.map(
-                lambda leaf, new: leaf.at[places].set(new, mode="drop"), carry, ended
-            )
-            return jnp.zeros(places.shape, jnp.bool_), carry
+            return jnp.zeros(places.shape, jnp.bool_), put_rows(carry, places, ended)
 
         return for_each_chosen(jax.vmap(is_left)(carry, constants), carry, work, share)
 

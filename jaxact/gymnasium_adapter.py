@@ -24,6 +24,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
+from jaxact.compaction import for_each_chosen, put_rows
 from jaxact.errors import JaxactError, unknown
 from jaxact.gymnasium_spaces import to_jax, to_numpy, to_space
 from jaxact.pomdp import POMDP, Pictured, PyTree, State, Step
@@ -187,18 +188,15 @@ def _vector_programs(pomdp: POMDP, autoreset_mode: AutoresetMode) -> tuple[Any, 
 
         Under vmap a reset within each step would sample an episode for every lane every time.
         """
-        count = len(due)
-        some = max(1, count // 16)
 
-        def renew_some(carry: tuple[Any, jax.Array]) -> tuple[Any, jax.Array]:
-            old, due = carry
-            chosen = jnp.nonzero(due, size=some, fill_value=count)[0]  # `count` is no lane
-            fresh = begin(old[0].seed[chosen], old[0].episode[chosen] + 1)
-            new = jax.tree.map(lambda x, y: x.at[chosen].set(y, mode="drop"), old, fresh)
-            return new, due.at[chosen].set(False, mode="drop")
+        def begin_some(
+            places: jax.Array, rows: jax.Array, now: tuple[_Lane, PyTree]
+        ) -> tuple[jax.Array, tuple[_Lane, PyTree]]:
+            lanes, _ = now
+            fresh = begin(lanes.seed[rows], lanes.episode[rows] + 1)
+            return jnp.zeros_like(places, bool), put_rows(now, places, fresh)
 
-        carry = ((lanes, observation), due)
-        return jax.lax.while_loop(lambda carry: jnp.any(carry[1]), renew_some, carry)[0]
+        return for_each_chosen(due, (lanes, observation), begin_some, share=16)
 
     def step(lanes: _Lane, due: jax.Array, action: PyTree) -> tuple[_Lane, PyTree, Step]:
         lanes, result = jax.vmap(functools.partial(_step, pomdp))(lanes, action)

@@ -2,8 +2,8 @@
 
 A lane is one world. Each lane holds a short queue of episodes sampled ahead; a lane that has
 finished takes its next one before it acts again, and when any queue is empty one scalar branch
-refills them all. So no step pays for a level that is thrown away, no episode is served twice, and
-episode k of lane b is a pure function of the seed, b and k, whatever the number of devices.
+replaces what was taken from all of them. So no level is thrown away, no episode is served twice,
+and episode k of lane b is a pure function of the seed, b and k, whatever the number of devices.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxact.compaction import for_each_chosen
+from jaxact.compaction import for_each_chosen, put_rows
 from jaxact.models.output import ActorCriticOutput
 from jaxact.pomdp import POMDP, Episode, ExpertAction, FinishedEpisodes, PyTree, State, Step
 
@@ -27,21 +27,26 @@ QUEUE_LENGTH_IF_LEARNING = 1
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class EpisodeQueue:
-    """Episodes sampled ahead, leading axes [B] or [B, Q].
+    """Episodes sampled ahead, leading axes [B] or [B, Q]; episode k is in place k mod Q.
 
     Attributes:
       key: PRNG key [B] of each lane's stream of episodes.
-      first: int32 [B], index within that stream of the queue's first episode.
-      taken: int32 [B], how many of the queue are used up.
+      served: int32 [B], how many of the stream were taken.
+      drawn: int32 [B], how many of the stream were sampled; the last drawn - served are waiting.
       episodes: [B, Q].
       observations: first observation of each, [B, Q, ...].
     """
 
     key: jax.Array
-    first: jax.Array
-    taken: jax.Array
+    served: jax.Array
+    drawn: jax.Array
     episodes: Episode
     observations: dict[str, jax.Array]
+
+    @property
+    def length(self) -> int:
+        """Q, the most episodes that wait for a lane."""
+        return int(jax.tree.leaves(self.observations)[0].shape[1])
 
 
 @jax.tree_util.register_dataclass
@@ -103,27 +108,30 @@ class Trajectory:
     episode_terms: dict[str, jax.Array]
 
 
-def fill_queue(
-    pomdp: POMDP, sampler_state: PyTree, key: jax.Array, first: jax.Array, length: int
-) -> EpisodeQueue:
-    """Samples `length` episodes for each lane, from index `first` [B] of the lane's stream on."""
+def refill(pomdp: POMDP, sampler_state: PyTree, queue: EpisodeQueue) -> EpisodeQueue:
+    """Samples the episodes that each lane's queue lacks."""
+    lanes, length = queue.served.shape[0], queue.length
+    served = queue.served[:, None]
+    index = served + (jnp.arange(length, dtype=jnp.int32) - served) % length
+    lacking = (index >= queue.drawn[:, None]).reshape(-1)
 
     def sample(key: jax.Array, index: jax.Array) -> tuple[Episode, dict[str, jax.Array]]:
         episode = pomdp.sampler.sample(jax.random.fold_in(key, index), sampler_state)
         return episode, pomdp.observe(pomdp.begin(episode))
 
-    indices = first[:, None] + jnp.arange(length, dtype=jnp.int32)
-    # One flat batch, for samplers that work on the whole of it (see `compaction`).
-    flat = jax.vmap(sample)(jnp.repeat(key, length), indices.reshape(-1))
-    episodes, observations = jax.tree.map(lambda x: x.reshape(*indices.shape, *x.shape[1:]), flat)
-    return EpisodeQueue(key, first, jnp.zeros_like(first), episodes, observations)
+    def draw(places: jax.Array, rows: jax.Array, waiting: PyTree) -> tuple[jax.Array, PyTree]:
+        new = jax.vmap(sample)(queue.key[rows // length], index.reshape(-1)[rows])
+        return jnp.zeros_like(places, bool), put_rows(waiting, places, new)
+
+    waiting = _merge_axes((queue.episodes, queue.observations))
+    waiting = for_each_chosen(lacking, waiting, draw, share=16)
+    episodes, observations = jax.tree.map(lambda x: x.reshape(lanes, length, *x.shape[1:]), waiting)
+    return EpisodeQueue(queue.key, queue.served, queue.served + length, episodes, observations)
 
 
-def forget(queue: EpisodeQueue) -> EpisodeQueue:
-    """Returns the queue with nothing in it, to be filled from where each lane's stream stands."""
-    length = jax.tree.leaves(queue.observations)[0].shape[1]
-    used_up = jnp.full_like(queue.taken, length)
-    return replace(queue, first=queue.first + queue.taken - used_up, taken=used_up)
+def _merge_axes(tree: PyTree) -> PyTree:
+    """Makes one of the first two axes."""
+    return jax.tree.map(lambda x: x.reshape(x.shape[0] * x.shape[1], *x.shape[2:]), tree)
 
 
 def turn_over(
@@ -147,19 +155,15 @@ def turn_over(
     Returns:
       The queue, states and observations to go on with.
     """
-    length = jax.tree.leaves(queue.observations)[0].shape[1]
 
     def runs_dry(queue: EpisodeQueue) -> jax.Array:
-        return jnp.any(finished & (queue.taken >= length))
-
-    def refill(queue: EpisodeQueue) -> EpisodeQueue:
-        return fill_queue(pomdp, sampler_state, queue.key, queue.first + queue.taken, length)
+        return jnp.any(finished & (queue.served >= queue.drawn))
 
     # A loop of at most one pass rather than a `cond`: under `vmap` (over seeds or draws) a cond
     # would run both branches at every step, while this loop still runs only if some queue is dry.
-    queue = jax.lax.while_loop(runs_dry, refill, queue)
+    queue = jax.lax.while_loop(runs_dry, lambda queue: refill(pomdp, sampler_state, queue), queue)
     state, observation = _take(pomdp, queue, finished, state, observation)
-    queue = replace(queue, taken=queue.taken + finished.astype(jnp.int32))
+    queue = replace(queue, served=queue.served + finished.astype(jnp.int32))
     return queue, state, observation
 
 
@@ -171,17 +175,14 @@ def _take(
     observation: dict[str, jax.Array],
 ) -> tuple[State, dict[str, jax.Array]]:
     """Puts the next episode of each finished lane, and what is first seen of it, in its place."""
-    length = jax.tree.leaves(queue.observations)[0].shape[1]
+    waiting = _merge_axes((queue.episodes, queue.observations))
+    place = queue.served % queue.length
 
     def take(places: jax.Array, rows: jax.Array, now: PyTree) -> tuple[jax.Array, PyTree]:
-        index = rows * length + queue.taken[rows]
-        episode, first_observation = jax.tree.map(
-            lambda x: x.reshape(x.shape[0] * length, *x.shape[2:])[index],
-            (queue.episodes, queue.observations),
-        )
+        index = rows * queue.length + place[rows]
+        episode, first_observation = jax.tree.map(lambda x: x[index], waiting)
         new = (jax.vmap(pomdp.begin)(episode), first_observation)
-        now = jax.tree.map(lambda x, y: x.at[places].set(y, mode="drop"), now, new)
-        return jnp.zeros_like(places, bool), now
+        return jnp.zeros_like(places, bool), put_rows(now, places, new)
 
     return for_each_chosen(finished, (state, observation), take)
 
@@ -209,7 +210,7 @@ def start_lanes(
     """
     lanes = keys.shape[0]
     stream_keys, lane_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
-    used_up = jnp.full(lanes, queue_length, jnp.int32)
+    none = jnp.zeros(lanes, jnp.int32)
     episode = jax.eval_shape(pomdp.sampler.sample, stream_keys[0], sampler_state)
     state = jax.eval_shape(pomdp.begin, episode)
     observation = jax.eval_shape(pomdp.observe, state)
@@ -221,8 +222,8 @@ def start_lanes(
 
     queue = EpisodeQueue(
         key=stream_keys,
-        first=-used_up,
-        taken=used_up,
+        served=none,
+        drawn=none,
         episodes=nothing_like(episode, lanes, queue_length),
         observations=nothing_like(observation, lanes, queue_length),
     )
@@ -330,7 +331,7 @@ def rollout(
         return lanes, transition
 
     if pomdp.sampler.learns:
-        lanes = replace(lanes, queue=forget(lanes.queue))
+        lanes = replace(lanes, queue=replace(lanes.queue, drawn=lanes.queue.served))
     return jax.lax.scan(act, lanes, None, length)
 
 

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 
-from jaxact.compaction import for_each_chosen
+from jaxact.compaction import for_each_chosen, put_rows
 from jaxact.errors import JaxactError
 from jaxact.pomdp import Episode, FinishedEpisodes, PyTree, TaskSampler
 
@@ -125,10 +125,7 @@ def draw_part(
                 drawn = jax.vmap(sampler.sample, (axes[1], axes[2][index]), axis_size=rows.size)(
                     keys, states[index]
                 )
-                episodes = jax.tree.map(
-                    lambda x, y: x.at[places].set(y, mode="drop"), episodes, drawn
-                )
-                return jnp.zeros_like(places, bool), episodes
+                return jnp.zeros_like(places, bool), put_rows(episodes, places, drawn)
 
             share = _TURNS * len(parts)
             episodes = for_each_chosen(which == index, episodes, sample, share)

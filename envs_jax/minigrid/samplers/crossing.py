@@ -39,14 +39,16 @@ class CrossingSampler(TaskSampler):
         draws = jax.random.uniform(key, (2 * lines + 2 * count,), jnp.float32)
         order, path, gaps = jnp.split(draws, [2 * lines, 2 * lines + count])
         # The first `count` of a random order of all rivers.
-        chosen = jnp.argsort(jnp.argsort(order)) < count
+        chosen = placement.ranks(order) < count
         vertical, horizontal = chosen[:lines], chosen[lines:]
         # A random arrangement of as many steps over vertical rivers as there are such rivers.
-        eastward = jnp.argsort(jnp.argsort(path)) < jnp.sum(vertical, dtype=jnp.int32)
+        eastward = placement.ranks(path) < jnp.sum(vertical, dtype=jnp.int32)
 
+        x, y = self._openings(vertical, horizontal, eastward, gaps)
+        cells = jnp.arange(self.size, dtype=jnp.int32)
+        is_opening = jnp.any((x[:, None, None] == cells[:, None]) & (y[:, None, None] == cells), 0)
         board = self._rivers(vertical, horizontal)
-        for cell in self._openings(vertical, horizontal, eastward, gaps):
-            board = placement.put(board, cell, tiles.EMPTY_TILE)
+        board = jnp.where(is_opening, jnp.uint8(tiles.EMPTY_TILE), board)
         state = placement.grid_state(board, jnp.ones(2, jnp.int32), jnp.int32(0))
         mission = encode_mission(WALL_MISSION if self.walls else LAVA_MISSION)
         return placement.goal_episode(state, mission, self.max_steps)
@@ -66,25 +68,24 @@ class CrossingSampler(TaskSampler):
 
     def _openings(
         self, vertical: jax.Array, horizontal: jax.Array, eastward: jax.Array, draws: jax.Array
-    ) -> list[jax.Array]:
-        """Returns the cells, int32[2] each, where the path crosses the rivers."""
+    ) -> tuple[jax.Array, jax.Array]:
+        """Returns where the path crosses the rivers, one after the other: x and y, int32[count]."""
 
-        def limits(chosen: jax.Array) -> jax.Array:
-            places = 2 + 2 * jnp.arange(chosen.shape[0], dtype=jnp.int32)
-            bank = jnp.sort(jnp.where(chosen, places, jnp.int32(self.size - 1)))
-            edge = jnp.full(1, self.size - 1, jnp.int32)
-            return jnp.concatenate([jnp.zeros(1, jnp.int32), bank, edge])
+        def banks(chosen: jax.Array, crossed: jax.Array) -> tuple[jax.Array, jax.Array]:
+            """Returns the rivers, or outer walls, on both sides once so many are crossed."""
+            number = placement.running_sums(chosen.astype(jnp.int32))
+            river = 2 + 2 * jnp.arange(chosen.shape[0], dtype=jnp.int32)
+            before = chosen & (number <= crossed[:, None])
+            after = chosen & (number > crossed[:, None])
+            return (
+                jnp.max(jnp.where(before, river, jnp.int32(0)), axis=1),
+                jnp.min(jnp.where(after, river, jnp.int32(self.size - 1)), axis=1),
+            )
 
-        xs, ys = limits(vertical), limits(horizontal)
-        column = row = jnp.int32(0)
-        cells = []
-        for step in range(self.num_crossings):
-            east = eastward[step]
-            along_x = placement.uniform_int(draws[step], xs[column] + 1, xs[column + 1])
-            along_y = placement.uniform_int(draws[step], ys[row] + 1, ys[row + 1])
-            x = jnp.where(east, xs[column + 1], along_x)
-            y = jnp.where(east, along_y, ys[row + 1])
-            cells.append(jnp.stack([x, y]))
-            column = column + east.astype(jnp.int32)
-            row = row + (~east).astype(jnp.int32)
-        return cells
+        steps = jnp.arange(self.num_crossings, dtype=jnp.int32)
+        crossed = placement.running_sums(eastward.astype(jnp.int32)) - eastward.astype(jnp.int32)
+        west, east = banks(vertical, crossed)
+        north, south = banks(horizontal, steps - crossed)
+        along_x = placement.uniform_int(draws, west + 1, east)
+        along_y = placement.uniform_int(draws, north + 1, south)
+        return jnp.where(eastward, east, along_x), jnp.where(eastward, along_y, south)

@@ -57,11 +57,11 @@ def choose_cell(draw: jax.Array, free: jax.Array) -> tuple[jax.Array, jax.Array]
       int32[2] position, and a bool: false when there is no free cell (the position then means
       nothing).
     """
-    columns = _running_sums(jnp.sum(free, axis=1, dtype=jnp.int32))
+    columns = running_sums(jnp.sum(free, axis=1, dtype=jnp.int32))
     chosen = uniform_int(draw, 0, columns[-1])
     x = jnp.sum(columns <= chosen, dtype=jnp.int32)
     left = chosen - jnp.where(x > 0, columns[x - 1], 0)
-    y = jnp.sum(_running_sums(free[x].astype(jnp.int32)) <= left, dtype=jnp.int32)
+    y = jnp.sum(running_sums(free[x].astype(jnp.int32)) <= left, dtype=jnp.int32)
     return jnp.stack([x, y]), columns[-1] > 0
 
 
@@ -72,7 +72,7 @@ def choose_ranked(rank: jax.Array, counts: jax.Array) -> tuple[jax.Array, jax.Ar
       rank: int32 scalar, below the sum of `counts`.
       counts: int32[n], the ranges' sizes.
     """
-    ends = _running_sums(counts)
+    ends = running_sums(counts)
     before = ends <= rank
     return jnp.sum(before, dtype=jnp.int32), rank - jnp.max(jnp.where(before, ends, 0))
 
@@ -121,10 +121,21 @@ def bit_counts(words: jax.Array) -> jax.Array:
     return jax.lax.population_count(words).astype(jnp.int32)
 
 
-def _running_sums(counts: jax.Array) -> jax.Array:
+def running_sums(counts: jax.Array) -> jax.Array:
     """Returns the running sums of a short int32[n]; n² additions beat n dependent ones here."""
     earlier = np.tri(counts.shape[0], dtype=bool)
     return jnp.sum(jnp.where(earlier, counts[None, :], 0), axis=1, dtype=jnp.int32)
+
+
+def ranks(values: jax.Array) -> jax.Array:
+    """Returns each entry's place, int32, in the sorted order of a short float32[n], ties in theirs.
+
+    n² comparisons, because XLA sorts small arrays slowly.
+    """
+    places = np.arange(values.shape[0])
+    equal_before = (values[None, :] == values[:, None]) & (places[None, :] < places[:, None])
+    before = (values[None, :] < values[:, None]) | equal_before
+    return jnp.sum(before, axis=1, dtype=jnp.int32)
 
 
 def at(position: jax.Array, shape: tuple[int, ...]) -> jax.Array:
