@@ -26,7 +26,7 @@ experiment = Experiment(
             Stage(
                 losses={"ppo": PPO(clip=0.2)},
                 steps=1_400_000,
-                overrides={"learning_rate": Linear(1e-3, 1e-4, steps=1.4e6)},
+                overrides={"learning_rate": Linear(5e-4, 1e-4, steps=1.4e6)},
             ),
         ),
         lanes=512,
