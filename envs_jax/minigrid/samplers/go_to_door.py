@@ -44,7 +44,7 @@ class GoToDoorSampler(TaskSampler):
         left, right = (placement.uniform_int(draw, 2, height - 2) for draw in place[4:6])
         start = jnp.int32(0)
         doors = jnp.array([[top, start], [bottom, height - 1], [start, left], [width - 1, right]])
-        colors = jnp.argsort(looks).astype(jnp.int32)[:4]
+        colors = placement.order(looks)[:4]
         board = board.at[doors[:, 0], doors[:, 1]].set(packed(tiles.CLOSED_DOOR, colors))
 
         position, _ = placement.choose_cell(place[6], inside)

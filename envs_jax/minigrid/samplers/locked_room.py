@@ -39,7 +39,7 @@ class LockedRoomSampler(TaskSampler):
             plane[side, ::pitch] = tiles.WALL_TILE
         board = jnp.asarray(plane)
 
-        colors = jnp.argsort(draws[:_ROOMS]).astype(jnp.int32)
+        colors = placement.order(draws[:_ROOMS])
         place = draws[_ROOMS:]
         locked = placement.uniform_int(place[0], 0, _ROOMS)
         # The key is in another room.

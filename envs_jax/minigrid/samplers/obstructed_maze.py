@@ -72,7 +72,7 @@ class ObstructedMazeSampler(TaskSampler):
         keys = max(1, 2 * self.quarters)
         draws = jax.random.uniform(key, (walls + keys + tiles.NUM_COLORS + 3,), jnp.float32)
         place, looks = draws[walls : -tiles.NUM_COLORS], draws[-tiles.NUM_COLORS :]
-        colors = jnp.argsort(looks).astype(jnp.int32)
+        colors = placement.order(looks)
         layout = grid.closed(draws[:walls].reshape(grid.walls))
         room: Room = (1, 0)
         if self.quarters:

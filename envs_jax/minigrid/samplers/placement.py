@@ -138,6 +138,13 @@ def ranks(values: jax.Array) -> jax.Array:
     return jnp.sum(before, axis=1, dtype=jnp.int32)
 
 
+def order(values: jax.Array) -> jax.Array:
+    """Returns what `jnp.argsort` does, int32, of a short float32[n]; see `ranks`."""
+    places = jnp.arange(values.shape[0], dtype=jnp.int32)
+    is_there = ranks(values)[None, :] == places[:, None]
+    return jnp.sum(jnp.where(is_there, places, 0), axis=1, dtype=jnp.int32)
+
+
 def at(position: jax.Array, shape: tuple[int, ...]) -> jax.Array:
     """Returns bool[width, height], true at `position` alone."""
     x = jnp.arange(shape[0], dtype=jnp.int32)[:, None] == position[0]

@@ -21,7 +21,6 @@ from envs_jax.minigrid.samplers.babyai.level import (
     leave_out,
     like,
     random_color,
-    ranks,
 )
 from envs_jax.minigrid.samplers.room_grid import LEFT, RIGHT, Layout, packed
 from envs_jax.minigrid.sentences import ANY_COLOR, ANYWHERE, DOOR, ON_THE_LEFT, Sentence
@@ -121,7 +120,7 @@ class OpenDoorSampler(LevelSampler):
 
     def furnish(self, layout: Layout, *draws: jax.Array) -> tuple[Layout, Sentence]:
         """Returns a level and its instruction; see `LevelSampler.furnish`."""
-        colors, kind, location, agent = ranks(draws[0]), *draws[1:]
+        colors, kind, location, agent = placement.order(draws[0]), *draws[1:]
         for side in range(_SIDES):
             layout, _ = self.grid.add_door(layout, _MIDDLE, side, colors[side], False)
         by_color = kind < 0.5 if self.select_by is None else jnp.bool_(self.select_by == "color")
@@ -160,7 +159,9 @@ class OpenTwoDoorsSampler(LevelSampler):
 
     def furnish(self, layout: Layout, *draws: jax.Array) -> tuple[Layout, Sentence]:
         """Returns a level and its instruction; see `LevelSampler.furnish`."""
-        colors = ranks(draws[0]) if self.colors is None else jnp.array(self.colors, jnp.int32)
+        colors = (
+            placement.order(draws[0]) if self.colors is None else jnp.array(self.colors, jnp.int32)
+        )
         layout, _ = self.grid.add_door(layout, _MIDDLE, LEFT, colors[0], False)
         layout, _ = self.grid.add_door(layout, _MIDDLE, RIGHT, colors[1], False)
         layout = self.grid.place_agent(layout, _MIDDLE, draws[1])
@@ -197,7 +198,11 @@ class OpenDoorsInOrderSampler(LevelSampler):
 
     def furnish(self, layout: Layout, *draws: jax.Array) -> tuple[Layout, Sentence]:
         """Returns a level and its instruction; see `LevelSampler.furnish`."""
-        colors, sides, chosen = ranks(draws[0]), ranks(draws[1]), ranks(draws[3])
+        colors, sides, chosen = (
+            placement.order(draws[0]),
+            placement.order(draws[1]),
+            placement.order(draws[3]),
+        )
         for door in range(self.num_doors):
             layout, _ = self.grid.add_door(layout, _MIDDLE, sides[door], colors[door], False)
         layout = self.grid.place_agent(layout, _MIDDLE, draws[2])

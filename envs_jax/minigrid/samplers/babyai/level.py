@@ -204,8 +204,3 @@ def choose(draw: jax.Array, count: int) -> jax.Array:
 def random_color(draw: jax.Array) -> jax.Array:
     """Returns a uniform colour, int32."""
     return choose(draw, tiles.NUM_COLORS)
-
-
-def ranks(draws: jax.Array) -> jax.Array:
-    """Returns a uniform permutation of 0 … n − 1, int32, from float32[n] draws."""
-    return jnp.argsort(draws).astype(jnp.int32)

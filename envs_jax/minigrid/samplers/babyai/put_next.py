@@ -19,7 +19,6 @@ from envs_jax.minigrid.samplers.babyai.level import (
     like,
     matches,
     put_next_is_possible,
-    ranks,
 )
 from envs_jax.minigrid.samplers.room_grid import RIGHT, Layout
 from envs_jax.minigrid.sentences import Sentence
@@ -52,7 +51,7 @@ class PutNextLocalSampler(LevelSampler):
         agent, objects, choice = draws
         layout = self.grid.place_agent(layout, (0, 0), agent)
         layout, placed = self.grid.add_distractors(layout, objects, (0, 0))
-        first, second, *_ = ranks(choice)
+        first, second, *_ = placement.order(choice)
         sentence = clause(PUT_NEXT, like(placed.codes[first]), like(placed.codes[second]))
         possible = put_next_is_possible(self.grid, layout, sentence)
         reachable = placement.objects_reachable(layout.plane, layout.agent)
@@ -134,7 +133,10 @@ class MoveTwoAcrossSampler(LevelSampler):
         layout, left = self.grid.add_distractors(layout, objects[0], _LEFT_ROOM)
         layout, right = self.grid.add_distractors(layout, objects[1], _RIGHT_ROOM)
         layout = self.grid.remove_wall(layout, _LEFT_ROOM, RIGHT)
-        lefts, rights = left.codes[ranks(choice[0])], right.codes[ranks(choice[1])]
+        lefts, rights = (
+            left.codes[placement.order(choice[0])],
+            right.codes[placement.order(choice[1])],
+        )
         return layout, join(
             clause(PUT_NEXT, like(lefts[0]), like(rights[0])),
             clause(PUT_NEXT, like(rights[1]), like(lefts[1]), joint=THEN),

@@ -18,7 +18,6 @@ from envs_jax.minigrid.samplers.babyai.level import (
     describe,
     like,
     random_color,
-    ranks,
 )
 from envs_jax.minigrid.samplers.room_grid import RIGHT, Layout, Room, RoomGrid, contains_key, packed
 from envs_jax.minigrid.sentences import DOOR, Sentence
@@ -208,7 +207,7 @@ class UnlockToUnlockSampler(LevelSampler):
 
     def furnish(self, layout: Layout, *draws: jax.Array) -> tuple[Layout, Sentence]:
         """Returns a level and its instruction; see `LevelSampler.furnish`."""
-        (left, right, *_), keys, ball, agent = ranks(draws[0]), *draws[1:]
+        (left, right, *_), keys, ball, agent = placement.order(draws[0]), *draws[1:]
         layout, _ = self.grid.add_door(layout, (0, 0), RIGHT, left, True)
         layout, _ = self.grid.place(layout, (2, 0), packed(tiles.KEY, left), keys[0])
         layout, _ = self.grid.add_door(layout, (1, 0), RIGHT, right, True)
