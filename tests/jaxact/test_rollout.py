@@ -9,7 +9,7 @@ import pytest
 
 from jaxact.distributions import Categorical
 from jaxact.models.output import ActorCriticOutput
-from jaxact.rollout import next_values, rollout, start_lanes
+from jaxact.rollout import next_values, refill, rollout, start_lanes
 from tests.corridor import RandomStart, corridor
 
 LANES, LENGTH = 8, 50
@@ -83,6 +83,23 @@ def test_queue_length_changes_nothing():
 
     one, other = play(1), play(7)
     jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
+def test_only_episodes_that_were_taken_are_replaced():
+    @dataclasses.dataclass(frozen=True)
+    class Stamped(RandomStart):
+        def sample(self, key, sampler_state):
+            return dataclasses.replace(super().sample(key, ()), origin=sampler_state)
+
+    pomdp = dataclasses.replace(corridor(), sampler=Stamped())
+    keys = jax.random.split(jax.random.key(0), 3)
+    queue = start_lanes(pomdp, jnp.int32(0), Scripted, keys, 4).queue
+    fill = jax.jit(lambda stamp, queue: refill(pomdp, stamp, queue))
+    queue = fill(jnp.int32(1), queue)
+    queue = fill(jnp.int32(2), dataclasses.replace(queue, served=jnp.array([0, 1, 4])))
+    stamps = [[1, 1, 1, 1], [2, 1, 1, 1], [2, 2, 2, 2]]
+    np.testing.assert_array_equal(queue.episodes.origin, stamps)
+    np.testing.assert_array_equal(queue.drawn, [4, 5, 8])
 
 
 def test_a_batch_of_runs_is_each_run_by_itself():
