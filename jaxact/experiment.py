@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import flax.linen as nn
+import jax
 
-from jaxact.errors import JaxactError
-from jaxact.pipeline import TrainingPipeline
+from jaxact.errors import JaxactError, unknown
+from jaxact.losses.base import Rewarding
+from jaxact.pipeline import Stage, TrainingPipeline
 from jaxact.pomdp import POMDP
+from jaxact.storages.base import Storage
 
 
 @dataclass(frozen=True)
@@ -53,8 +56,39 @@ class Experiment:
                     f"minibatches on {devices} device(s); the nearest number of lanes that does "
                     f"is {nearest}"
                 )
+            for name, storage in stage.storages.items():
+                self._check_storage(f"{where}: storage {name!r}", name, storage, devices)
+            if stage.rewards:
+                self._check_rewards(where, stage)
             if stage.needs_expert and not self.pomdp.has_expert:
                 raise JaxactError(
                     f"{where} imitates or forces an expert, but "
                     f"{type(self.pomdp.task).__name__} has no method expert(key, task_state, state)"
                 )
+
+    def _check_storage(self, where: str, name: str, storage: Storage, devices: int) -> None:
+        for number in ("updates", "lanes", "length"):
+            if getattr(storage, number) < 1:
+                raise JaxactError(
+                    f"{where}: {number} must be at least 1, got {getattr(storage, number)}"
+                )
+        if storage.lanes % devices:
+            raise JaxactError(
+                f"{where}: its {storage.lanes} lanes do not divide among {devices} devices"
+            )
+        first = self.pipeline.storages[name]
+        alike = replace(storage, losses=first.losses, weights=first.weights, updates=first.updates)
+        if alike != first:
+            raise JaxactError(
+                f"{where} is another than that of this name in an earlier stage; only losses, "
+                "weights and updates can differ"
+            )
+
+    def _check_rewards(self, where: str, stage: Stage) -> None:
+        state, _ = jax.eval_shape(self.pomdp.reset, jax.random.key(0))
+        action = self.pomdp.action_space.structure
+        _, step = jax.eval_shape(self.pomdp.step, jax.random.key(0), state, action)
+        own = [name for name, loss in stage.losses.items() if isinstance(loss, Rewarding)]
+        for name in stage.rewards:
+            if name not in {*step.reward_terms, *own}:
+                raise unknown(f"reward component in {where}", name, [*step.reward_terms, *own])

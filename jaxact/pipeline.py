@@ -13,6 +13,7 @@ from jaxact.errors import JaxactError, unknown
 from jaxact.frozen import FrozenMapping
 from jaxact.losses.base import Loss
 from jaxact.schedules import Schedule
+from jaxact.storages.base import Storage
 
 
 @dataclass(frozen=True)
@@ -42,13 +43,18 @@ class Stage:
     """A part of training: some losses, for some steps.
 
     Attributes:
-      losses: named losses, all on one forward pass of the model.
-      steps: length in environment steps, over all lanes; the last update may overshoot it.
+      losses: named losses, all on one forward pass of the model over the rollout; without any
+        there is no rollout, and the stage learns from its storages alone.
+      steps: length in environment steps, over all lanes (without a rollout: in steps of the
+        storages' batches); the last update may overshoot it.
       weights: weight of each named loss (default 1); numbers or schedules of the stage's steps.
       teacher_forcing: probability that a valid expert action is taken in place of the policy's; a
         number or a schedule of the stage's steps; None never asks the expert for it.
       stop: ends the stage early.
       overrides: values for this stage of the pipeline's fields, by name.
+      storages: named storages with losses of their own, learnt from after each rollout.
+      rewards: weight of each named component of the reward in what is learnt (default 1); numbers
+        or schedules of the stage's steps. Episodes' returns are reported as the task has them.
     """
 
     losses: Mapping[str, Loss]
@@ -57,14 +63,16 @@ class Stage:
     teacher_forcing: float | Schedule | None = None
     stop: EarlyStopping | None = None
     overrides: Mapping[str, Any] = field(default_factory=dict)
+    storages: Mapping[str, Storage] = field(default_factory=dict)
+    rewards: Mapping[str, float | Schedule] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not self.losses:
+        if not self.losses and not self.storages:
             raise JaxactError("a stage needs at least one loss, for example {'ppo': PPO()}")
         for name in self.weights:
             if name not in self.losses:
                 raise unknown("loss in a stage's weights", name, self.losses)
-        for name in ("losses", "weights", "overrides"):
+        for name in ("losses", "weights", "overrides", "storages", "rewards"):
             object.__setattr__(self, name, FrozenMapping(getattr(self, name)))
 
     @property
@@ -130,12 +138,24 @@ class TrainingPipeline:
         return dataclasses.replace(self, **stage.overrides)
 
     def steps_per_update(self, stage: Stage) -> int:
-        """Environment steps of one update of `stage`, over all lanes."""
+        """Environment steps of one update of `stage`, over all lanes; without a rollout, steps of
+        its storages.
+        """
+        if not stage.losses:
+            return sum(storage.steps for storage in stage.storages.values())
         return self.lanes * self.at(stage).rollout_length
 
     def updates(self, stage: Stage) -> int:
         """Number of updates that `stage` takes."""
         return -(-stage.steps // self.steps_per_update(stage))
+
+    @property
+    def storages(self) -> dict[str, Storage]:
+        """The storages of all stages by name, each as in the first stage that has it."""
+        found: dict[str, Storage] = {}
+        for stage in self.stages:
+            found |= {name: x for name, x in stage.storages.items() if name not in found}
+        return found
 
     @property
     def total_steps(self) -> int:

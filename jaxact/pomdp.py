@@ -87,10 +87,13 @@ class ExpertAction:
     Attributes:
       action: a value of the action space.
       valid: bool scalar, false where the expert abstains (the action is then to be ignored).
+      policy: float32 [n], the expert's probabilities of n discrete actions, where it has more to
+        say than one action; None if not. Teacher forcing takes `action`.
     """
 
     action: PyTree
     valid: jax.Array
+    policy: jax.Array | None = None
 
 
 @jax.tree_util.register_dataclass

@@ -17,20 +17,24 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxact import train_state
 from jaxact.errors import JaxactError
 from jaxact.experiment import Experiment
+from jaxact.gradients import Metrics, stack_metrics
 from jaxact.multiply_high import spell_out_multiply_high
 from jaxact.overrides import numbers as numbers_of
 from jaxact.overrides import with_numbers
 from jaxact.train_state import TrainState
-from jaxact.update import Metrics, stack_metrics, update
+from jaxact.update import update
 
 Numbers = Mapping[str, Any]
+Data = Mapping[str, Any]
 AXIS = "lanes"
 
-# Which parts of a train state are sharded over devices: the lanes, and nothing else.
+# Which parts of a train state are sharded over devices: those with lanes, and nothing else.
 _SPECS = TrainState(
     params=PartitionSpec(),
+    losses=PartitionSpec(),  # type: ignore[arg-type]
     optimizer=PartitionSpec(),
     lanes=PartitionSpec(AXIS),  # type: ignore[arg-type]
+    storages=PartitionSpec(AXIS),  # type: ignore[arg-type]
     sampler=PartitionSpec(),
     updates=PartitionSpec(),  # type: ignore[arg-type]
     stopped=PartitionSpec(),  # type: ignore[arg-type]
@@ -42,6 +46,7 @@ def run_updates(
     experiment: Experiment,
     stage_index: int,
     state: TrainState,
+    data: Data,
     length: int,
     limit: jax.Array | int,
     axis_name: str | None = None,
@@ -54,7 +59,7 @@ def run_updates(
     total = experiment.pipeline.updates(experiment.pipeline.stages[stage_index])
 
     def do(state: TrainState) -> tuple[TrainState, Metrics]:
-        return update(experiment, stage_index, state, axis_name)
+        return update(experiment, stage_index, state, data, axis_name)
 
     # Traced once and kept, to know the metrics' shapes; tracing is a good part of starting up.
     traced, (_, shapes) = jax.make_jaxpr(do, return_shape=True)(state)
@@ -81,30 +86,34 @@ def run_updates(
 
 def make_train(
     experiment: Experiment,
-) -> Callable[[jax.Array, Numbers | None], tuple[TrainState, Metrics]]:
+) -> Callable[..., tuple[TrainState, Metrics]]:
     """Makes one pure function of the whole training run, all stages in one program.
 
     Args:
       experiment: what to train.
 
     Returns:
-      train(key, numbers=None) -> (state, metrics [updates of all stages]), to be jitted, and
-      vmapped over keys and over any of the experiment's numbers: `numbers` maps dotted paths such
-      as "pipeline.learning_rate" (see `jaxact.overrides.numbers`) to scalars. A vmapped sweep
-      compiles once.
+      train(key, numbers=None, data=None) -> (state, metrics [updates of all stages]), to be jitted,
+      and vmapped over keys and over any of the experiment's numbers: `numbers` maps dotted paths
+      such as "pipeline.learning_rate" (see `jaxact.overrides.numbers`) to scalars. A vmapped sweep
+      compiles once. An experiment with recorded data takes it as `data`, from
+      `jaxact.train_state.load_data`.
 
     Raises:
       JaxactError: the experiment cannot work (see `Experiment.check`), or no such number.
     """
     experiment.check()
 
-    def train(key: jax.Array, numbers: Numbers | None = None) -> tuple[TrainState, Metrics]:
+    def train(
+        key: jax.Array, numbers: Numbers | None = None, data: Data | None = None
+    ) -> tuple[TrainState, Metrics]:
         configured = with_numbers(experiment, dict(numbers or {}))
-        state = train_state.start(configured, key)
+        data = data or {}
+        state = train_state.start(configured, key, data)
         rows = []
         for index, stage in enumerate(experiment.pipeline.stages):
             updates = experiment.pipeline.updates(stage)
-            state, metrics = run_updates(configured, index, state, updates, updates)
+            state, metrics = run_updates(configured, index, state, data, updates, updates)
             rows.append({**metrics, "stage": jnp.full(updates, index, jnp.int32)})
         return state, concatenate(rows, jnp)
 
@@ -156,14 +165,20 @@ class Program:
         return {n: jnp.float32(x) for n, x in numbers_of(self.experiment).items()}
 
     @cached_property
-    def _start(self) -> Any:
-        """The traced function (key, numbers) -> the state before the first update."""
+    def data(self) -> dict[str, Any]:
+        """What the experiment's storages read from outside, on all devices."""
+        everywhere = NamedSharding(self.mesh, PartitionSpec())
+        return jax.device_put(train_state.load_data(self.experiment), everywhere)
 
-        def begin(key: jax.Array, numbers: Numbers) -> TrainState:
-            return train_state.start(with_numbers(self.experiment, dict(numbers)), key)
+    @cached_property
+    def _start(self) -> Any:
+        """The traced function (key, numbers, data) -> the state before the first update."""
+
+        def begin(key: jax.Array, numbers: Numbers, data: Data) -> TrainState:
+            return train_state.start(with_numbers(self.experiment, dict(numbers)), key, data)
 
         key = jax.eval_shape(lambda: train_state.make_key(0))
-        return jax.jit(begin, out_shardings=self._shardings).trace(key, self.numbers())
+        return jax.jit(begin, out_shardings=self._shardings).trace(key, self.numbers(), self.data)
 
     def start(self, key: jax.Array, meanwhile: Callable[[], object] | None = None) -> TrainState:
         """Returns the state before the first update, placed on the devices.
@@ -177,7 +192,7 @@ class Program:
             compiling = thread.submit(lowered.compile)
             if meanwhile is not None:
                 meanwhile()
-            state: TrainState = compiling.result()(key, self.numbers())
+            state: TrainState = compiling.result()(key, self.numbers(), self.data)
         return state
 
     def like(self) -> TrainState:
@@ -196,31 +211,37 @@ class Program:
 
     def compile_stage(self, index: int, length: int) -> Any:
         """Returns `stage(index, length)` compiled, before there is a state to call it on."""
-        return self.stage(index, length).lower(self.like(), self.numbers(), np.int32(0)).compile()
+        arguments = (self.like(), self.numbers(), np.int32(0), self.data)
+        return self.stage(index, length).lower(*arguments).compile()
 
     def stage(self, index: int, length: int) -> Any:
-        """Returns a stage's jitted function (state, numbers, limit) -> (state, metrics [length]).
+        """Returns a stage's jitted function (state, numbers, limit, data=None) -> (state, metrics
+        [length]), where `data` is `self.data`, or None when there is none.
 
         It does up to `limit` ≤ `length` updates, and consumes its state: the arrays given must not
         be used again.
         """
         axis_name = AXIS if len(self.devices) > 1 else None
 
-        def run(state: TrainState, numbers: Numbers, limit: Any) -> tuple[TrainState, Metrics]:
+        def run(
+            state: TrainState, numbers: Numbers, limit: Any, data: Data | None = None
+        ) -> tuple[TrainState, Metrics]:
             configured = with_numbers(self.experiment, dict(numbers))
-            return run_updates(configured, index, state, length, limit, axis_name)
+            return run_updates(configured, index, state, data or {}, length, limit, axis_name)
 
         if axis_name is None:
             return jax.jit(run, donate_argnums=0)
 
-        def sharded(state: TrainState, numbers: Numbers, limit: Any) -> tuple[TrainState, Metrics]:
+        def sharded(
+            state: TrainState, numbers: Numbers, limit: Any, data: Data | None = None
+        ) -> tuple[TrainState, Metrics]:
             return jax.shard_map(
                 run,
                 mesh=self.mesh,
-                in_specs=(_SPECS, PartitionSpec(), PartitionSpec()),
+                in_specs=(_SPECS, PartitionSpec(), PartitionSpec(), PartitionSpec()),
                 out_specs=(_SPECS, PartitionSpec()),
                 check_vma=False,
-            )(state, numbers, limit)
+            )(state, numbers, limit, data)
 
         # Without being told, XLA returns arrays without elements replicated, whatever they were.
         everywhere = NamedSharding(self.mesh, PartitionSpec())

@@ -195,7 +195,7 @@ class Run:
             # Kept to multiples of the chunk, so that a resumed run falls into step.
             limit = min(left, chunk - done % chunk)
             before = self._steps(state)
-            state, metrics = advance(state, numbers, np.int32(limit))
+            state, metrics = advance(state, numbers, np.int32(limit), self.program.data)
             rows = {n: x[np.asarray(metrics["active"])] for n, x in jax.device_get(metrics).items()}
             self._check_finite(index, before, rows)
             count = len(rows["active"])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -10,6 +11,8 @@ import jax.numpy as jnp
 import optax
 
 from jaxact.experiment import Experiment
+from jaxact.gradients import Learnt
+from jaxact.losses.base import Loss
 from jaxact.pomdp import PyTree
 from jaxact.rollout import QUEUE_LENGTH, QUEUE_LENGTH_IF_LEARNING, Lanes, start_lanes
 
@@ -24,8 +27,10 @@ class TrainState:
 
     Attributes:
       params: of the model.
+      losses: variables of the losses that have some, by the loss's name.
       optimizer: the optimizer's state.
-      lanes: worlds in progress; the only part with a lane axis (sharded over devices).
+      lanes: worlds in progress; this and the storages have a lane axis (sharded over devices).
+      storages: what storages hold, by name.
       sampler: the task sampler's state.
       updates: int32 [number of stages], updates done in each stage.
       stopped: bool [number of stages], whether each stage has stopped early.
@@ -34,12 +39,23 @@ class TrainState:
     """
 
     params: PyTree
+    losses: dict[str, dict[str, PyTree]]
     optimizer: PyTree
     lanes: Lanes
+    storages: dict[str, PyTree]
     sampler: PyTree
     updates: jax.Array
     stopped: jax.Array
     block: jax.Array
+
+    @property
+    def learnt(self) -> Learnt:
+        """What gradient steps change."""
+        return Learnt(self.params, self.losses, self.optimizer)
+
+    def with_learnt(self, learnt: Learnt) -> TrainState:
+        """Returns the state with what was learnt in place of what was before."""
+        return replace(self, params=learnt.params, losses=learnt.losses, optimizer=learnt.optimizer)
 
 
 def make_key(seed: int | jax.Array) -> jax.Array:
@@ -63,27 +79,77 @@ def optimizer_for(settings: Any, learning_rate: jax.Array | float) -> optax.Grad
 
 def init_params(experiment: Experiment, key: jax.Array) -> PyTree:
     """Initialises the model's parameters."""
+    return experiment.model.init(key, *_zero_inputs(experiment))
+
+
+def _zero_inputs(experiment: Experiment) -> tuple[Any, ...]:
+    """Returns what the model is called with, of zeros, for one lane."""
     pomdp, model = experiment.pomdp, experiment.model
     zeros = jax.tree.map(lambda x: x[None], pomdp.observation_space.zeros())
     action = jax.tree.map(lambda x: x[None], pomdp.action_space.zeros())
-    memory = model.initial_memory(1)
-    return model.init(key, zeros, memory, action, jnp.ones(1, bool))
+    return zeros, model.initial_memory(1), action, jnp.ones(1, bool)
 
 
-def start(experiment: Experiment, key: jax.Array) -> TrainState:
-    """Returns the state before the first update."""
+def _init_losses(experiment: Experiment, params: PyTree, key: jax.Array) -> dict[str, Any]:
+    """Initialises the variables of all losses that have some; one name, one set of variables."""
+    losses: dict[str, Loss] = {}
+    for stage in experiment.pipeline.stages:
+        for group in (stage.losses, *(storage.losses for storage in stage.storages.values())):
+            losses |= {n: x for n, x in group.items() if x.has_variables and n not in losses}
+    if not losses:
+        return {}
+    inputs = _zero_inputs(experiment)
+    output, _ = experiment.model.apply(params, *inputs)
+    keys = jax.random.split(key, len(losses))
+    return {
+        name: loss.init(key, output, inputs[0], inputs[2])
+        for key, (name, loss) in zip(keys, losses.items(), strict=True)
+    }
+
+
+def load_data(experiment: Experiment) -> dict[str, PyTree]:
+    """Reads what the experiment's storages need from outside, by the storage's name.
+
+    Raises:
+      JaxactError: it is not there, damaged, or of another world.
+    """
+    storages = experiment.pipeline.storages
+    data = {name: storage.load(experiment.pomdp) for name, storage in storages.items()}
+    return {name: arrays for name, arrays in data.items() if jax.tree.leaves(arrays)}
+
+
+def start(experiment: Experiment, key: jax.Array, data: Mapping[str, PyTree]) -> TrainState:
+    """Returns the state before the first update.
+
+    Args:
+      experiment: what is trained.
+      key: of everything random.
+      data: from `load_data`.
+    """
     params_key, sampler_key, lanes_key = jax.random.split(key, 3)
-    pipeline = experiment.pipeline
+    pipeline, pomdp = experiment.pipeline, experiment.pomdp
     params = init_params(experiment, params_key)
-    pomdp = experiment.pomdp
+    losses = _init_losses(experiment, params, jax.random.fold_in(params_key, 1))
     sampler = pomdp.sampler.init(sampler_key)
     queue_length = QUEUE_LENGTH_IF_LEARNING if pomdp.sampler.learns else QUEUE_LENGTH
     lane_keys = jax.random.split(lanes_key, pipeline.lanes)
+    storages = {
+        name: storage.init(
+            pomdp,
+            experiment.model,
+            jax.random.split(jax.random.fold_in(lanes_key, index), storage.lanes),
+            data.get(name, ()),
+        )
+        for index, (name, storage) in enumerate(pipeline.storages.items())
+    }
     stages = len(pipeline.stages)
+    learnt = Learnt(params, losses, ())
     return TrainState(
         params=params,
-        optimizer=optimizer_for(pipeline, 0.0).init(params),
+        losses=losses,
+        optimizer=optimizer_for(pipeline, 0.0).init(learnt.trained),
         lanes=start_lanes(pomdp, sampler, experiment.model, lane_keys, queue_length),
+        storages=storages,
         sampler=sampler,
         updates=jnp.zeros(stages, jnp.int32),
         stopped=jnp.zeros(stages, bool),

@@ -8,30 +8,33 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import optax
-from jax.flatten_util import ravel_pytree
 
 from jaxact.experiment import Experiment
-from jaxact.losses.base import Batch, Progress
+from jaxact.gradients import GradientStep, Learnt, Metrics, stack_metrics
+from jaxact.losses.base import Batch, Loss, Progress, Rewarding
 from jaxact.pipeline import Stage, TrainingPipeline
 from jaxact.pomdp import PyTree
 from jaxact.returns import episode_means, generalized_advantages
-from jaxact.rollout import Lanes, Trajectory, next_values, rollout
-from jaxact.schedules import value_at
+from jaxact.rollout import Trajectory, next_values, rollout
+from jaxact.schedules import Schedule, value_at
+from jaxact.storages.base import Storage
 from jaxact.train_state import TrainState, optimizer_for
-
-Metrics = dict[str, jax.Array]
 
 
 def update(
-    experiment: Experiment, stage_index: int, state: TrainState, axis_name: str | None = None
+    experiment: Experiment,
+    stage_index: int,
+    state: TrainState,
+    data: Mapping[str, PyTree],
+    axis_name: str | None = None,
 ) -> tuple[TrainState, Metrics]:
-    """Does one update of a stage.
+    """Does one update of a stage: a rollout and what is learnt of it, then the stage's storages.
 
     Args:
       experiment: what is trained; its numbers may be tracers.
       stage_index: which stage (static).
       state: where training stands; under `shard_map`, with this device's lanes.
+      data: arrays of the experiment's storages, by name, see `load_data`.
       axis_name: the device axis, None on a single device.
 
     Returns:
@@ -39,10 +42,55 @@ def update(
       finished, to be divided by "episodes/count", and "episodes/kinds/{kind}/success" by the
       "count" beside it; the rest are means over the update.
     """
-    pomdp, pipeline = experiment.pomdp, experiment.pipeline
+    pipeline = experiment.pipeline
     stage = pipeline.stages[stage_index]
     settings = pipeline.at(stage)
     progress = _progress(pipeline, stage_index, state.updates)
+    own_rate = "learning_rate" in stage.overrides
+    rate_steps = progress.stage_steps if own_rate else progress.total_steps
+    learning_rate = value_at(settings.learning_rate, rate_steps)
+    optimizer = optimizer_for(settings, learning_rate)
+
+    def gradient_step(
+        losses: Mapping[str, Loss], weights: Mapping[str, float | Schedule], prefix: str
+    ) -> GradientStep:
+        return GradientStep(experiment.model, losses, weights, progress, optimizer, prefix)
+
+    metrics: Metrics = {}
+    stopped, block = state.stopped[stage_index], state.block[stage_index]
+    if stage.losses:
+        on_policy = gradient_step(stage.losses, stage.weights, "losses")
+        state, metrics, episodes = _rollout_update(
+            experiment, stage, on_policy, state, progress, axis_name
+        )
+        block, stopped = _early_stopping(stage, block, episodes)
+    learnt, storages = state.learnt, dict(state.storages)
+    for name, storage in stage.storages.items():
+        step = gradient_step(storage.losses, storage.weights, f"losses/{name}")
+        learnt, storages[name], of_storage = _learn_from_storage(
+            step, storage, learnt, storages[name], data.get(name, ()), axis_name
+        )
+        metrics = {**of_storage, **metrics}
+    metrics["train/learning_rate"] = learning_rate
+    return replace(
+        state.with_learnt(learnt),
+        storages=storages,
+        updates=state.updates.at[stage_index].add(1),
+        stopped=state.stopped.at[stage_index].set(stopped),
+        block=state.block.at[stage_index].set(block),
+    ), metrics
+
+
+def _rollout_update(
+    experiment: Experiment,
+    stage: Stage,
+    gradient_step: GradientStep,
+    state: TrainState,
+    progress: Progress,
+    axis_name: str | None,
+) -> tuple[TrainState, Metrics, Metrics]:
+    """Acts, and learns from it; returns the state, metrics, and sums over finished episodes."""
+    pomdp, settings = experiment.pomdp, experiment.pipeline.at(stage)
 
     def policy(*inputs: Any) -> Any:
         return experiment.model.apply(state.params, *inputs)
@@ -60,16 +108,16 @@ def update(
         teacher_forcing=teacher_forcing,
         keep_tasks=pomdp.sampler.learns,
     )
+    learnt, trajectory, metrics = _add_rewards(stage, state.learnt, trajectory, progress, axis_name)
     batch = make_batch(
-        trajectory, next_values(policy, trajectory), state.lanes.memory, settings, axis_name
+        trajectory,
+        next_values(policy, trajectory),
+        state.lanes.memory,
+        lanes.key,
+        settings,
+        axis_name,
     )
-
-    own_rate = "learning_rate" in stage.overrides
-    rate_steps = progress.stage_steps if own_rate else progress.total_steps
-    learning_rate = value_at(settings.learning_rate, rate_steps)
-    params, optimizer, lanes, losses = _optimize(
-        experiment, stage, settings, state, lanes, batch, progress, learning_rate
-    )
+    learnt, keys, losses = _learn_from_rollout(gradient_step, settings, learnt, batch)
 
     sampler = state.sampler
     if pomdp.sampler.learns:
@@ -78,30 +126,46 @@ def update(
         sampler = pomdp.sampler.update(sampler, _gather_lanes(finished, axis_name))
     kinds = pomdp.sampler.kinds(trajectory.finished.origin)
     episodes = _episode_sums(trajectory, kinds, axis_name)
-    block, stopped = _early_stopping(stage, state.block[stage_index], episodes)
     metrics = {
         **losses,
         **{f"episodes/{name}": value for name, value in episodes.items()},
         **{f"train/sampler/{n}": x for n, x in pomdp.sampler.metrics(sampler).items()},
-        "train/learning_rate": learning_rate,
         "train/teacher_forcing": teacher_forcing,
         "train/forced": _global_mean(trajectory.forced.astype(jnp.float32), axis_name),
+        **metrics,
     }
-    return TrainState(
-        params=params,
-        optimizer=optimizer,
-        lanes=lanes,
-        sampler=sampler,
-        updates=state.updates.at[stage_index].add(1),
-        stopped=state.stopped.at[stage_index].set(stopped),
-        block=state.block.at[stage_index].set(block),
-    ), metrics
+    lanes = replace(lanes, key=keys)
+    return replace(state.with_learnt(learnt), lanes=lanes, sampler=sampler), metrics, episodes
+
+
+def _add_rewards(
+    stage: Stage,
+    learnt: Learnt,
+    trajectory: Trajectory,
+    progress: Progress,
+    axis_name: str | None,
+) -> tuple[Learnt, Trajectory, Metrics]:
+    """Adds the losses' own rewards, and weighs all components as the stage says."""
+    own: dict[str, jax.Array] = {}
+    variables = dict(learnt.losses)
+    for name, loss in stage.losses.items():
+        if isinstance(loss, Rewarding):
+            own[name], variables[name] = loss.reward(variables[name], trajectory, axis_name)
+    metrics = {f"train/reward/{name}": _global_mean(x, axis_name) for name, x in own.items()}
+    if not own and not stage.rewards:
+        return learnt, trajectory, metrics
+    terms = {**trajectory.step.reward_terms, **own}
+    weights = {n: value_at(w, progress.stage_steps) for n, w in stage.rewards.items()}
+    reward = sum((weights.get(n, 1.0) * x for n, x in terms.items()), start=jnp.float32(0))
+    step = replace(trajectory.step, reward=reward, reward_terms=terms)
+    return replace(learnt, losses=variables), replace(trajectory, step=step), metrics
 
 
 def make_batch(
     trajectory: Trajectory,
     next_value: jax.Array,
     memory: PyTree,
+    key: jax.Array,
     settings: TrainingPipeline,
     axis_name: str | None,
 ) -> Batch:
@@ -111,6 +175,7 @@ def make_batch(
       trajectory: of the rollout.
       next_value: see `rollout.next_values`.
       memory: the policy's memory before the rollout.
+      key: of each lane.
       settings: discount and λ.
       axis_name: the device axis over which advantages are normalised.
     """
@@ -142,100 +207,79 @@ def make_batch(
         normalized_advantage=(advantage - mean) / (deviation + 1e-5),
         returns=advantage + trajectory.value,
         expert=trajectory.expert,
+        key=key,
         axis_name=axis_name,
     )
 
 
-def _optimize(
-    experiment: Experiment,
-    stage: Stage,
-    settings: TrainingPipeline,
-    state: TrainState,
-    lanes: Lanes,
-    batch: Batch,
-    progress: Progress,
-    learning_rate: jax.Array,
-) -> tuple[PyTree, PyTree, Lanes, Metrics]:
-    """Epochs of minibatch gradient steps; returns params, optimizer state, lanes and metrics."""
-    optimizer = optimizer_for(settings, learning_rate)
-    axis_name = batch.axis_name
-    weights = {
-        name: value_at(stage.weights.get(name, 1.0), progress.stage_steps) for name in stage.losses
-    }
-
-    def objective(params: PyTree, batch: Batch) -> tuple[jax.Array, Metrics]:
-        output, _ = experiment.model.apply(
-            params, batch.observation, batch.memory, batch.previous_action, batch.is_first
-        )
-        total = jnp.float32(0)
-        metrics: Metrics = {}
-        for name, loss in stage.losses.items():
-            value, parts = loss(output, batch, progress)
-            total = total + weights[name] * value
-            metrics |= {f"losses/{name}/{part}": x for part, x in parts.items()}
-            metrics[f"losses/{name}/weight"] = weights[name]
-        metrics["losses/total"] = total
-        return total, metrics
-
+def _learn_from_rollout(
+    gradient_step: GradientStep, settings: TrainingPipeline, learnt: Learnt, batch: Batch
+) -> tuple[Learnt, jax.Array, Metrics]:
+    """Epochs of minibatch gradient steps; returns what is learnt, lanes' keys and mean metrics."""
     names: tuple[str, ...] = ()
 
-    def minibatch_step(
-        carry: tuple[PyTree, PyTree], chosen: jax.Array
-    ) -> tuple[tuple[PyTree, PyTree], jax.Array]:
+    def minibatch_step(learnt: Learnt, minibatch: tuple[Any, Any]) -> tuple[Learnt, jax.Array]:
         nonlocal names
-        params, optimizer_state = carry
-        grads, metrics = jax.grad(objective, has_aux=True)(params, _take_lanes(batch, chosen))
-        names, values = (*metrics, "train/gradient_norm"), stack_metrics(metrics)
-        flat, unflatten = ravel_pytree(grads)
-        if axis_name is not None:
-            flat, values = jax.lax.pmean((flat, values), axis_name)
-        values = jnp.append(values, jnp.linalg.norm(flat))
-        # Optimizers are others' code, which may rely on JAX's default promotion of dtypes.
-        with jax.numpy_dtype_promotion("standard"):
-            updates, optimizer_state = optimizer.update(unflatten(flat), optimizer_state, params)
-        return (optax.apply_updates(params, updates), optimizer_state), values
+        chosen, draws = minibatch
+        learnt, metrics, _ = gradient_step(learnt, _take_lanes(batch, chosen, draws))
+        names = tuple(metrics)
+        return learnt, stack_metrics(metrics)
 
     def epoch(
-        carry: tuple[PyTree, PyTree, jax.Array], _: None
-    ) -> tuple[tuple[PyTree, PyTree, jax.Array], jax.Array]:
-        params, optimizer_state, keys = carry
-        keys, order = _minibatch_lanes(keys, settings.minibatches)
-        (params, optimizer_state), values = jax.lax.scan(
-            minibatch_step, (params, optimizer_state), order
-        )
-        return (params, optimizer_state, keys), values
+        carry: tuple[Learnt, jax.Array], _: None
+    ) -> tuple[tuple[Learnt, jax.Array], jax.Array]:
+        learnt, keys = carry
+        keys, draws = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
+        order = _minibatch_lanes(draws, settings.minibatches)
+        learnt, values = jax.lax.scan(minibatch_step, learnt, (order, draws[order]))
+        return (learnt, keys), values
 
-    (params, optimizer_state, keys), values = jax.lax.scan(
-        epoch, (state.params, state.optimizer, lanes.key), None, settings.epochs
-    )
-    means = dict(zip(names, jnp.mean(values, axis=(0, 1)), strict=True))
-    return params, optimizer_state, replace(lanes, key=keys), means
+    (learnt, keys), values = jax.lax.scan(epoch, (learnt, batch.key), None, settings.epochs)
+    return learnt, keys, dict(zip(names, jnp.mean(values, axis=(0, 1)), strict=True))
 
 
-def stack_metrics(metrics: Metrics) -> jax.Array:
-    """Returns metrics of one shape stacked in order, float32 [M, ...]; one array is one kernel."""
-    return jnp.stack([jnp.asarray(x).astype(jnp.float32) for x in metrics.values()])
+def _learn_from_storage(
+    gradient_step: GradientStep,
+    storage: Storage,
+    learnt: Learnt,
+    held: PyTree,
+    data: PyTree,
+    axis_name: str | None,
+) -> tuple[Learnt, PyTree, Metrics]:
+    """Gradient steps on a storage's batches; returns what is learnt, its state, mean metrics."""
+    names: tuple[str, ...] = ()
+
+    def step(carry: tuple[Learnt, PyTree], _: None) -> tuple[tuple[Learnt, PyTree], jax.Array]:
+        nonlocal names
+        learnt, held = carry
+        held, batch = storage.batch(held, data, axis_name)
+        learnt, metrics, memory = gradient_step(learnt, batch)
+        names = tuple(metrics)
+        return (learnt, storage.carry_on(held, memory)), stack_metrics(metrics)
+
+    (learnt, held), values = jax.lax.scan(step, (learnt, held), None, storage.updates)
+    return learnt, held, dict(zip(names, jnp.mean(values, axis=0), strict=True))
 
 
-def _minibatch_lanes(keys: jax.Array, minibatches: int) -> tuple[jax.Array, jax.Array]:
-    """Deals the lanes to minibatches at random, from the lanes' own keys.
+def _minibatch_lanes(keys: jax.Array, minibatches: int) -> jax.Array:
+    """Deals the lanes to minibatches at random, by a key of each lane's own.
 
     Of each run of `minibatches` neighbouring lanes one goes to each minibatch, so that the deal
     is the same on any number of devices and every device has a share of every minibatch.
 
     Returns:
-      New keys [B] and lane indices int32 [minibatches, B / minibatches].
+      Lane indices int32 [minibatches, B / minibatches].
     """
-    keys, draw_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
-    draws = jax.vmap(lambda key: jax.random.uniform(key, (), jnp.float32))(draw_keys)
+    draws = jax.vmap(lambda key: jax.random.uniform(key, (), jnp.float32))(keys)
     order = jnp.argsort(draws.reshape(-1, minibatches), axis=1).astype(jnp.int32)
     first = jnp.arange(order.shape[0], dtype=jnp.int32)[:, None] * minibatches
-    return keys, (first + order).T
+    return (first + order).T
 
 
-def _take_lanes(batch: Batch, chosen: jax.Array) -> Batch:
-    taken = jax.tree.map(lambda x: x[:, chosen], replace(batch, memory=None))
-    return replace(taken, memory=jax.tree.map(lambda x: x[chosen], batch.memory))
+def _take_lanes(batch: Batch, chosen: jax.Array, keys: jax.Array) -> Batch:
+    by_time = replace(batch, memory=(), key=jnp.zeros((1, batch.key.shape[0]), jnp.uint32))
+    taken = jax.tree.map(lambda x: x[:, chosen], by_time)
+    return replace(taken, memory=jax.tree.map(lambda x: x[chosen], batch.memory), key=keys)
 
 
 def _progress(pipeline: TrainingPipeline, stage_index: int, updates: jax.Array) -> Progress:

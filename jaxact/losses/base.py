@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 
+from jaxact.errors import JaxactError
 from jaxact.models.output import ActorCriticOutput
-from jaxact.pomdp import ExpertAction
+from jaxact.pomdp import ExpertAction, PyTree
 
 
 @jax.tree_util.register_dataclass
@@ -32,6 +33,9 @@ class Progress:
 class Batch:
     """Whole sequences of some lanes; every array is time-major [T, B, ...].
 
+    What only the policy that acted could tell (log_prob, value, and advantage and returns, which
+    are made from it) is NaN in batches that come from a storage.
+
     Attributes:
       observation: named sensor readings that the actions answered to.
       previous_action: the action before each.
@@ -40,8 +44,8 @@ class Batch:
       action: what was done.
       log_prob: float32, its log-probability when it was done.
       value: float32, the value then estimated.
-      reward: float32.
-      reward_terms: the reward's named components, float32.
+      reward: float32, the sum of `reward_terms`, each times its weight in the stage.
+      reward_terms: the reward's named components, float32, those of losses among them.
       terminated: bool.
       truncated: bool.
       advantage: float32, generalized advantage.
@@ -49,6 +53,7 @@ class Batch:
         devices.
       returns: float32, advantage + value.
       expert: the expert's advice, None where no loss of the stage asks for it.
+      key: PRNG key of each lane, [B], another one in each epoch.
       axis_name: name of the device axis that `mean` averages over, None on a single device.
     """
 
@@ -67,7 +72,19 @@ class Batch:
     normalized_advantage: jax.Array
     returns: jax.Array
     expert: ExpertAction | None
+    key: jax.Array
     axis_name: str | None = field(metadata={"static": True})
+
+    @property
+    def advice(self) -> ExpertAction:
+        """The expert's actions.
+
+        Raises:
+          JaxactError: nobody asked for them.
+        """
+        if self.expert is None:
+            raise JaxactError("a loss that imitates was given a batch without expert actions")
+        return self.expert
 
     def mean(self, values: jax.Array, where: jax.Array | None = None) -> jax.Array:
         """Returns this device's share of the mean of `values` [T, B] over the global batch.
@@ -88,9 +105,38 @@ class Loss(ABC):
     """A training objective on the shared forward pass of the model.
 
     A loss is a frozen dataclass; its float fields are data that may be swept without recompiling.
+    One that learns something of its own (a discriminator, a predictor) overrides `init`, and is
+    then called with a fourth argument, its variables.
+
+    Attributes:
+      needs_expert: whether the expert must be asked at every step.
+      needs_rollout: whether it means something only on what the policy itself has just done.
     """
 
     needs_expert: ClassVar[bool] = False
+    needs_rollout: ClassVar[bool] = False
+
+    @property
+    def has_variables(self) -> bool:
+        """Whether it has variables of its own; by default, whether `init` is overridden."""
+        return type(self).init is not Loss.init
+
+    def init(
+        self, key: jax.Array, output: ActorCriticOutput, observation: PyTree, action: PyTree
+    ) -> dict[str, PyTree]:
+        """Returns the loss's own variables, as flax does: the collection "params" is trained with
+        the model, by the same optimizer; others change only where the loss itself changes them.
+
+        Losses of one name in several stages share their variables.
+
+        Args:
+          key: a PRNG key.
+          output: the model's on `observation`, [1, ...].
+          observation: of zeros, [1, ...].
+          action: of zeros, [1, ...].
+        """
+        del key, output, observation, action
+        return {}
 
     @abstractmethod
     def __call__(
@@ -101,3 +147,23 @@ class Loss(ABC):
         `output` is that of the parameters being trained, [T, B, ...]. Means are to be taken with
         `batch.mean`, so that the loss is that of the global batch on any number of devices.
         """
+
+
+@runtime_checkable
+class Rewarding(Protocol):
+    """A loss that adds a component to the reward, under its own name (curiosity, imitation)."""
+
+    def reward(
+        self, variables: dict[str, PyTree], trajectory: Any, axis_name: str | None
+    ) -> tuple[jax.Array, dict[str, PyTree]]:
+        """Judges a rollout before advantages are computed.
+
+        Args:
+          variables: of the loss.
+          trajectory: a `jaxact.rollout.Trajectory`, [T, B, ...], with its own rewards.
+          axis_name: the device axis to average statistics over, None on a single device.
+
+        Returns:
+          float32 [T, B], and the variables with what was learnt of the rollout's statistics.
+        """
+        ...

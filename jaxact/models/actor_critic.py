@@ -26,12 +26,15 @@ class ActorCritic(nn.Module):
       encoder: module from named observations [..., …] to features [..., F].
       memory: `GRU`, `LSTM`, `NoMemory`, or a module with the same methods.
       previous_action: whether the previous action is fed back as an input.
+      auxiliary_actor: whether there is a second actor head on the same features, for losses that
+        compare two policies (ADVISOR); the output's extras have its "auxiliary_distribution".
     """
 
     action_space: Space
     encoder: nn.Module
     memory: nn.Module = GRU(128)
     previous_action: bool = False
+    auxiliary_actor: bool = False
 
     @nn.compact
     def __call__(
@@ -50,9 +53,10 @@ class ActorCritic(nn.Module):
           is_first: bool [B] or [T, B], true where an episode begins.
 
         Returns:
-          Policy and value, [B] or [T, B], and the memory after the last step.
+          Policy and value, [B] or [T, B], and the memory after the last step. The extras have the
+          encoder's "embedding" and the "belief" that the heads see, float32 [..., F].
         """
-        features = self.encoder(observation)
+        features = embedding = self.encoder(observation)
         if self.previous_action:
             flat = flatten_action(self.action_space, previous_action)
             flat = jnp.where(is_first[..., None], 0.0, flat)
@@ -60,7 +64,11 @@ class ActorCritic(nn.Module):
         features, memory = self.memory(features, memory, is_first)
         distribution = ActorHead(self.action_space, name="actor")(features)
         value = nn.Dense(1, kernel_init=nn.initializers.orthogonal(1.0), name="critic")(features)
-        return ActorCriticOutput(distribution, value[..., 0]), memory
+        extras = {"embedding": embedding, "belief": features}
+        if self.auxiliary_actor:
+            auxiliary = ActorHead(self.action_space, name="auxiliary_actor")(features)
+            extras["auxiliary_distribution"] = auxiliary
+        return ActorCriticOutput(distribution, value[..., 0], extras), memory
 
     @nn.nowrap
     def initial_memory(self, lanes: int) -> Any:

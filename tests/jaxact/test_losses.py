@@ -54,6 +54,7 @@ def batch_of(x, valid=None):
         normalized_advantage=jnp.asarray(x["normalized_advantage"], jnp.float32),
         returns=jnp.asarray(x["returns"], jnp.float32),
         expert=ExpertAction(jnp.asarray(x["expert"], jnp.int32), jnp.asarray(valid)),
+        key=jax.random.split(jax.random.key(0), B),
         axis_name=None,
     )
 

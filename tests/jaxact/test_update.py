@@ -19,29 +19,27 @@ def deal(keys, minibatches):
 
 @pytest.mark.parametrize(("lanes", "minibatches"), [(12, 1), (12, 4), (12, 12)])
 def test_every_lane_is_dealt_to_exactly_one_minibatch(lanes, minibatches):
-    _, order = deal(jax.random.split(make_key(0), lanes), minibatches)
+    order = deal(jax.random.split(make_key(0), lanes), minibatches)
     assert order.shape == (minibatches, lanes // minibatches)
     assert sorted(np.asarray(order).ravel().tolist()) == list(range(lanes))
 
 
 def test_every_deal_is_another_and_fair():
-    keys = jax.random.split(make_key(0), 12)
     counts, deals = np.zeros((12, 4)), set()
-    for _ in range(400):
-        keys, order = deal(keys, 4)
-        order = np.asarray(order)
+    for keys in jax.random.split(make_key(0), (400, 12)):
+        order = np.asarray(deal(keys, 4))
         deals.add(order.tobytes())
         for minibatch in range(4):
             counts[order[minibatch], minibatch] += 1
-    assert len(deals) > 390
+    assert len(deals) > 380  # of 13,824 that there are
     # Each lane comes to each minibatch in a quarter of the deals: 100, give or take 5 deviations.
     assert np.all(np.abs(counts - 100) < 5 * np.sqrt(400 * 0.25 * 0.75))
 
 
 def test_the_deal_is_the_same_on_any_number_of_devices():
     keys = jax.random.split(make_key(3), 16)
-    _, together = deal(keys, 4)
-    shares = [np.asarray(deal(keys[i : i + 8], 4)[1]) + i for i in (0, 8)]
+    together = deal(keys, 4)
+    shares = [np.asarray(deal(keys[i : i + 8], 4)) + i for i in (0, 8)]
     for minibatch in range(4):
         parts = np.concatenate([share[minibatch] for share in shares])
         assert sorted(parts.tolist()) == sorted(np.asarray(together)[minibatch].tolist())

@@ -1,0 +1,85 @@
+"""What every storage offers: batches that do not come from the stage's own rollout."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+
+from jaxact.errors import JaxactError, unknown
+from jaxact.frozen import FrozenMapping
+from jaxact.losses.base import Batch, Loss
+from jaxact.pomdp import POMDP, PyTree
+from jaxact.schedules import Schedule
+
+
+@dataclass(frozen=True, kw_only=True)
+class Storage(ABC):
+    """Losses of a stage that are taken on other batches than the rollout, after each rollout.
+
+    A storage of one name in several stages is one storage: what it holds goes on.
+
+    Attributes:
+      losses: named losses, all on one forward pass of the model.
+      weights: weight of each named loss (default 1); numbers or schedules of the stage's steps.
+      updates: gradient steps after each rollout, each on a new batch.
+      lanes: sequences side by side in a batch, over all devices.
+      length: steps of each.
+    """
+
+    losses: Mapping[str, Loss]
+    weights: Mapping[str, float | Schedule] = field(default_factory=dict)
+    updates: int = 1
+    lanes: int = 64
+    length: int = 32
+
+    def __post_init__(self) -> None:
+        if not self.losses:
+            raise JaxactError("a storage needs at least one loss to be of use")
+        for name, loss in self.losses.items():
+            if loss.needs_rollout:
+                raise JaxactError(
+                    f"{type(loss).__name__} ({name!r}) learns from what the policy has just done, "
+                    f"and cannot be among the losses of a {type(self).__name__}"
+                )
+        for name in self.weights:
+            if name not in self.losses:
+                raise unknown("loss in a storage's weights", name, self.losses)
+        for name in ("losses", "weights"):
+            object.__setattr__(self, name, FrozenMapping(getattr(self, name)))
+
+    @property
+    def steps(self) -> int:
+        """Steps seen in each update of the stage."""
+        return self.updates * self.lanes * self.length
+
+    def load(self, pomdp: POMDP) -> PyTree:
+        """Returns arrays that compiled programs take as an argument; by default none.
+
+        Raises:
+          JaxactError: they are of another world.
+        """
+        del pomdp
+        return ()
+
+    @abstractmethod
+    def init(self, pomdp: POMDP, model: Any, keys: jax.Array, data: PyTree) -> PyTree:
+        """Returns the storage's first state, with a leading axis of lanes everywhere.
+
+        Args:
+          pomdp: the world.
+          model: has `initial_memory(lanes)`.
+          keys: a PRNG key for each lane, [lanes].
+          data: from `load`.
+        """
+
+    @abstractmethod
+    def batch(self, state: PyTree, data: PyTree, axis_name: str | None) -> tuple[PyTree, Batch]:
+        """Returns the next batch, [length, lanes], and the state after it."""
+
+    @abstractmethod
+    def carry_on(self, state: PyTree, memory: PyTree) -> PyTree:
+        """Takes the model's memory [lanes, ...] after the batch; returns the state with it."""
