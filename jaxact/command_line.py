@@ -25,7 +25,8 @@ class TrainArguments(Options):
         None
     )
     """A Python file that defines `experiment`, a dotted module name, or the name of a shipped
-    example. With --resume it may be left out: the run's own copy is used."""
+    example; FILE:KEY is one of the file's `experiments`. With --resume it may be left out: the
+    run's own copy is used."""
 
     seed: int = 0
     """Of everything random; a resumed run keeps its own."""
@@ -102,7 +103,7 @@ def _use_compilation_cache() -> None:
 
 def _train(arguments: TrainArguments) -> int:
     from jaxact.describe import describe
-    from jaxact.loading import load_experiment
+    from jaxact.loading import load_experiment, split_variant
     from jaxact.overrides import override
     from jaxact.runs import open_run, read_config
     from jaxact.train import Run
@@ -122,7 +123,10 @@ def _train(arguments: TrainArguments) -> int:
         print(describe(experiment, arguments.devices))
         return 0
     options = Options(**{f.name: getattr(arguments, f.name) for f in fields(Options)})
-    config = {"overrides": list(assignments), "source": source.name}
+    variant = split_variant(name)[1]
+    # What `load_experiment` is to be given of the run's own copy.
+    text = f"{source.name}:{variant}" if variant else source.name
+    config = {"overrides": list(assignments), "source": text}
     result = Run(experiment, seed, options, source, config).run()
     print(f"run: {result.run}")
     return 0 if result.interrupted is None else 128 + result.interrupted

@@ -5,8 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from examples import advisor
 from jaxact import train
 from jaxact.loading import load_experiment, shipped_examples
+from jaxact.overrides import numbers
 
 NAMES = shipped_examples()
 QUICK = "babyai_gotolocal_ppo"
@@ -29,7 +31,16 @@ def shrunk(experiment):
 def test_examples_can_work(name):
     experiment, _ = load_experiment(name)
     experiment.check()
-    assert experiment.name == name
+    assert experiment.name.startswith(name)
+
+
+def test_all_of_advisors_experiments_can_work():
+    for name, experiment in advisor.experiments.items():
+        experiment.check()
+        assert experiment.name == f"advisor_{name}"
+        paths = advisor.search_space(name)
+        drawn = [x for key in paths for x in (key if isinstance(key, tuple) else (key,))]
+        assert set(drawn) <= numbers(experiment).keys()
 
 
 @pytest.mark.parametrize(
