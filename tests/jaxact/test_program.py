@@ -226,7 +226,7 @@ def test_the_limit_ends_a_chunk_before_its_length():
 def test_the_described_state_is_the_state():
     program = Program(every_loss(), choose_devices(1))
     like = program.like()
-    state = jax.eval_shape(lambda key: start(every_loss(), key), make_key(0))
+    state = jax.eval_shape(lambda key: start(every_loss(), key, {}), make_key(0))
     describe = lambda tree: jax.tree.map(lambda x: (x.shape, x.dtype), tree)  # noqa: E731
     assert describe(like) == describe(state)
     # No weak types: the second call of a stage would be traced anew.
