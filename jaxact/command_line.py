@@ -1,4 +1,4 @@
-"""The command lines of `python -m jaxact.train` and `python -m jaxact.evaluate`."""
+"""The command lines of `python -m jaxact.train`, `jaxact.evaluate` and `jaxact.collect`."""
 
 from __future__ import annotations
 
@@ -67,6 +67,37 @@ class EvaluateArguments:
     """PATH=VALUE overrides one value of the experiment, to evaluate under other conditions."""
 
 
+@dataclass(frozen=True)
+class CollectArguments:
+    """Records whole episodes of an expert, or of a run's policy, as demonstrations.
+
+    The same command goes on with what was interrupted, to the same result.
+    """
+
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="EXPERIMENT")]
+    """An experiment as jaxact.train takes it, the id of a world, or a run's directory."""
+    output: Path
+    """The directory to write."""
+    episodes: int
+    """How many: those numbered 0 to EPISODES - 1 of the seed's stream, however long they are."""
+    seed: int = 0
+    """Of the episodes, none of which is a held-out one of jaxact.evaluate."""
+    expert: bool = False
+    """The task's expert acts; that is so unless there is a --checkpoint."""
+    checkpoint: str | None = None
+    """newest, best or the step of a checkpoint: the run's policy acts."""
+    greedy: bool = False
+    """The policy takes the most likely actions instead of samples."""
+    successful_only: bool = False
+    """Record the first EPISODES of those with success."""
+    final_observations: bool = False
+    """Keep what was seen after the last step of each episode: for bootstrapping, and Minari."""
+    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """PATH=VALUE overrides one value of the experiment, or of the world given by its id."""
+    progress: bool = True
+    """Show how far it is."""
+
+
 def run_train() -> None:
     """Runs `python -m jaxact.train`."""
     _run("jaxact.train", TrainArguments, _train)
@@ -75,6 +106,11 @@ def run_train() -> None:
 def run_evaluate() -> None:
     """Runs `python -m jaxact.evaluate`."""
     _run("jaxact.evaluate", EvaluateArguments, _evaluate)
+
+
+def run_collect() -> None:
+    """Runs `python -m jaxact.collect`."""
+    _run("jaxact.collect", CollectArguments, _collect)
 
 
 def _run(
@@ -147,3 +183,29 @@ def _evaluate(arguments: EvaluateArguments) -> None:
             greedy=arguments.greedy,
             video=arguments.video,
         )
+
+
+def _collect(arguments: CollectArguments) -> int:
+    from jaxact.collect import collect_named
+
+    if arguments.expert and arguments.checkpoint is not None:
+        raise JaxactError("--expert and --checkpoint exclude each other")
+    if arguments.greedy and arguments.checkpoint is None:
+        raise JaxactError("--greedy is for the policy of a --checkpoint")
+    try:
+        collect_named(
+            arguments.name,
+            arguments.output,
+            arguments.episodes,
+            overrides=arguments.set,
+            checkpoint=arguments.checkpoint,
+            greedy=arguments.greedy,
+            seed=arguments.seed,
+            successful_only=arguments.successful_only,
+            final_observations=arguments.final_observations,
+            progress=arguments.progress,
+        )
+    except KeyboardInterrupt:
+        print(f"{arguments.output}: interrupted; the same command goes on with it")
+        return 130
+    return 0

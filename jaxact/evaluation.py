@@ -10,8 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxact.actors import Actor, expert_actor, policy_actor
 from jaxact.caching import cached_by_identity
-from jaxact.policy import Policy, PolicyMemory
+from jaxact.policy import Policy
 from jaxact.pomdp import POMDP, PyTree, State
 from jaxact.rollout import select
 from jaxact.statistics import confidence_interval, mean_interval
@@ -115,40 +116,20 @@ class _Play:
     kinds: dict[str, jax.Array]
 
 
-Actor = Callable[[PyTree, jax.Array, _Play], tuple[PyTree, PyTree]]
 Player = Callable[[PyTree, jax.Array, jax.Array], _Play]
 
 
 @cached_by_identity
 def _policy_player(pomdp: POMDP, model: Any, greedy: bool) -> Player:
-    def act(params: PyTree, keys: jax.Array, play: _Play) -> tuple[PyTree, PyTree]:
-        policy = Policy(model, params, pomdp.action_space)
-        output, memory = policy.output(play.observation, play.memory)
-        if greedy:
-            action = output.distribution.mode()
-        else:
-            action = jax.vmap(lambda d, key: d.sample(key))(output.distribution, keys)
-        return action, PolicyMemory(memory, action, jnp.zeros_like(play.done))
-
-    def initial(lanes: int) -> PyTree:
-        return Policy(model, (), pomdp.action_space).initial_memory(lanes)
-
-    return _player(pomdp, act, initial)
+    return _player(pomdp, policy_actor(pomdp, model, greedy))
 
 
 @cached_by_identity
 def _expert_player(pomdp: POMDP) -> Player:
-    def act(params: PyTree, keys: jax.Array, play: _Play) -> tuple[PyTree, PyTree]:
-        del params
-        expert_keys, random_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
-        expert = jax.vmap(pomdp.expert)(expert_keys, play.state)
-        random = jax.vmap(pomdp.action_space.sample)(random_keys)
-        return select(expert.valid, expert.action, random), play.memory
-
-    return _player(pomdp, act, lambda lanes: ())
+    return _player(pomdp, expert_actor(pomdp))
 
 
-def _player(pomdp: POMDP, act: Actor, initial: Callable[[int], PyTree]) -> Player:
+def _player(pomdp: POMDP, actor: Actor) -> Player:
     """Compiles (parameters, reset keys [B], step keys [B]) -> finished episodes."""
     pomdp = replace(pomdp, sampler=pomdp.sampler.held_out)
 
@@ -162,7 +143,7 @@ def _player(pomdp: POMDP, act: Actor, initial: Callable[[int], PyTree]) -> Playe
         first = _Play(
             state=state,
             observation=observation,
-            memory=initial(lanes),
+            memory=actor.initial_memory(lanes),
             done=jnp.zeros(lanes, bool),
             success=jnp.zeros(lanes, bool),
             episode_return=zeros,
@@ -174,8 +155,8 @@ def _player(pomdp: POMDP, act: Actor, initial: Callable[[int], PyTree]) -> Playe
         def advance(play: _Play) -> _Play:
             split = jax.vmap(lambda key, t: jax.random.split(jax.random.fold_in(key, t)))
             act_keys, world_keys = jnp.moveaxis(split(step_keys, play.state.steps), 1, 0)
-            action, memory = act(params, act_keys, play)
-            state, step = jax.vmap(pomdp.step)(world_keys, play.state, action)
+            chosen, memory = actor.act(params, act_keys, play.state, play.observation, play.memory)
+            state, step = jax.vmap(pomdp.step)(world_keys, play.state, chosen.action)
             metrics = {f"task/{n}": x for n, x in step.metrics.items()}
             for name, reward in step.reward_terms.items():
                 metrics[f"reward/{name}"] = play.metrics[f"reward/{name}"] + reward
