@@ -1,10 +1,14 @@
-"""ADVISOR's experiments where the expert knows too much (Weihs et al. 2021, figure 4).
+r"""ADVISOR's experiments where the expert knows too much (Weihs et al. 2021, figure 4).
 
 python -m jaxact.train examples/advisor.py:poisoned_doors_advisor
 
 A name after the colon is one of `experiments`: a world and a method. Numbers that ADVISOR's random
 search draws are `pipeline.learning_rate.start`, `alpha`, and for warm starts how long they are,
-which is one number in several schedules: see `search_space`.
+which is one number in several schedules: see `search_space`. `advisor_demonstrations` learns from
+recorded ones as well:
+
+python -m jaxact.collect Advisor-PoisonedDoors-v0 --episodes 10000 --output \
+    demonstrations/poisoned_doors
 """
 
 from collections.abc import Mapping
@@ -13,9 +17,10 @@ import optax
 
 import envs_jax
 from jaxact import Experiment, Stage, TrainingPipeline
-from jaxact.losses import PPO, Advisor, Imitation
+from jaxact.losses import PPO, Advisor, AdvisorImitation, Imitation
 from jaxact.models import LSTM, ActorCritic, Concatenated, InstructedGrid, Vector
 from jaxact.schedules import Linear, Piecewise
+from jaxact.storages import DemonstrationStorage
 
 # World, encoder, and steps as published.
 WORLDS = {
@@ -24,7 +29,7 @@ WORLDS = {
 }
 
 
-def _stages(length: float) -> dict[str, Stage]:
+def _stages(world: str, length: float) -> dict[str, Stage]:
     """Returns a stage for each method, warm starts half as long as the whole."""
     steps, half = int(length), length / 2
     ppo, imitation = PPO(clip=Linear(0.1, 0.0, length)), Imitation()
@@ -35,6 +40,13 @@ def _stages(length: float) -> dict[str, Stage]:
     }
     forced_first = Piecewise((half,), (1.0, 0.0))
     fading = Linear(1.0, 0.0, half)
+    demonstrations = DemonstrationStorage(
+        losses={"advisor": AdvisorImitation(alpha=8.0)},
+        path=f"demonstrations/{world}",
+        updates=4,
+        lanes=20,
+        length=100,
+    )
     return {
         "ppo": Stage({"ppo": ppo}, steps),
         "bc": Stage({"imitation": imitation}, steps),
@@ -44,6 +56,12 @@ def _stages(length: float) -> dict[str, Stage]:
         "dagger_to_ppo": Stage(both, steps, weights=first, teacher_forcing=fading),
         "bc_forced_to_ppo": Stage(both, steps, weights=first, teacher_forcing=forced_first),
         "advisor": Stage({"advisor": Advisor(reinforcement=ppo)}, steps),
+        "advisor_demonstrations": Stage(
+            {"ppo": ppo},
+            steps,
+            storages={"demonstrations": demonstrations},
+            overrides={"epochs": 2},
+        ),
     }
 
 
@@ -68,8 +86,12 @@ def search_space(name: str) -> dict[str | tuple[str, ...], str]:
         lengths.append(f"{stage}.teacher_forcing.boundaries.0")
     if lengths:
         space[tuple(lengths)] = f"uniform({0.1 * steps}, {0.9 * steps})"
-    if method == "advisor":
-        space[f"{stage}.losses.advisor.alpha"] = "choice(4, 8, 16, 32)"
+    alpha = {
+        "advisor": f"{stage}.losses.advisor.alpha",
+        "advisor_demonstrations": f"{stage}.storages.demonstrations.losses.advisor.alpha",
+    }
+    if method in alpha:
+        space[alpha[method]] = "choice(4, 8, 16, 32)"
     return space
 
 
@@ -77,9 +99,9 @@ def _experiments() -> dict[str, Experiment]:
     found = {}
     for world, (name, encoder, steps) in WORLDS.items():
         pomdp = envs_jax.make(name)
-        for method, stage in _stages(steps).items():
+        for method, stage in _stages(world, steps).items():
             model = ActorCritic(
-                pomdp.action_space, encoder, LSTM(128), auxiliary_actor=method == "advisor"
+                pomdp.action_space, encoder, LSTM(128), auxiliary_actor=method.startswith("advisor")
             )
             pipeline = TrainingPipeline(
                 (stage,),

@@ -1,5 +1,6 @@
 """Storages: where batches come from besides the rollout."""
 
 from jaxact.storages.base import Storage as Storage
+from jaxact.storages.demonstrations import DemonstrationStorage as DemonstrationStorage
 
-__all__ = ["Storage"]
+__all__ = ["DemonstrationStorage", "Storage"]
