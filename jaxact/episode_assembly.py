@@ -87,7 +87,7 @@ class EpisodeAssembly:
         self._sums += [len(index), success.sum(), length.sum()]
 
     def take(self) -> Assembled | None:
-        """Returns the next shard if its episodes are whole.
+        """Returns the next shard if its episodes are whole; none when all wanted are taken.
 
         Raises:
           JaxactError: none of as many episodes as go into a shard is to be kept.
@@ -96,7 +96,7 @@ class EpisodeAssembly:
         kept = self._is_kept(whole)
         steps, count = np.cumsum(self._length[:whole]), np.cumsum(kept)
         full = (steps >= self._shard_steps) | (count >= self._left)
-        if not full.any():
+        if self.done or not full.any():
             return None
         cut = int(np.argmax(full)) + 1
         kept = kept[:cut]

@@ -10,6 +10,7 @@ permutation. No table is held and nothing is sorted.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -32,21 +33,22 @@ def shuffled(index: jax.Array, size: int, key: jax.Array) -> jax.Array:
     height = -(-size // width)
     index, key = jnp.broadcast_arrays(index, key)
 
-    def network(index: jax.Array) -> jax.Array:
-        left, right = index // jnp.uint32(height), index % jnp.uint32(height)
-        for number in range(0, _ROUNDS, 2):
-            left = (left + hashed(right, key + jnp.uint32(number))) % jnp.uint32(width)
-            right = (right + hashed(left, key + jnp.uint32(number + 1))) % jnp.uint32(height)
-        return left * jnp.uint32(height) + right
+    def two_rounds(number: jax.Array, digits: tuple[jax.Array, jax.Array]) -> Any:
+        left, right = digits
+        left = (left + hashed(right, key + 2 * number)) % jnp.uint32(width)
+        right = (right + hashed(left, key + 2 * number + 1)) % jnp.uint32(height)
+        return left, right
 
-    def is_outside(index: jax.Array) -> jax.Array:
-        return index >= jnp.uint32(size)
+    def walk(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        index, outside = state
+        digits = index // jnp.uint32(height), index % jnp.uint32(height)
+        # Loops rather than one long expression, which XLA would take its time to compile.
+        left, right = jax.lax.fori_loop(jnp.uint32(0), jnp.uint32(_ROUNDS // 2), two_rounds, digits)
+        index = jnp.where(outside, left * jnp.uint32(height) + right, index)
+        return index, index >= jnp.uint32(size)
 
-    return jax.lax.while_loop(
-        lambda index: jnp.any(is_outside(index)),
-        lambda index: jnp.where(is_outside(index), network(index), index),
-        network(index),
-    )
+    start = (index, jnp.ones_like(index, bool))
+    return jax.lax.while_loop(lambda state: jnp.any(state[1]), walk, start)[0]
 
 
 def hashed(word: jax.Array, key: jax.Array) -> jax.Array:

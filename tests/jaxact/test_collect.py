@@ -12,12 +12,13 @@ from jaxact import JaxactError, Policy, demonstration_writer
 from jaxact.collect import collect, collect_named
 from jaxact.demonstration_writer import DemonstrationWriter
 from jaxact.demonstrations import Demonstrations
+from jaxact.episode_assembly import EpisodeAssembly
 from jaxact.episode_stream import episode_keys, stream_keys
 from jaxact.evaluation import held_out_keys
 from jaxact.models import GRU, ActorCritic, Concatenated, Vector
 from jaxact.pomdp import ExpertAction
 from jaxact.train_state import make_key
-from tests.corridor import RandomStart, ReachEnd, corridor
+from tests.corridor import ReachEnd, corridor
 from tests.tiny import Undemonstrated
 
 LENGTH, HORIZON = 16, 12
@@ -44,14 +45,16 @@ def small_shards(monkeypatch):
 
 
 def record(path, episodes=EPISODES, **options):
-    return collect(POMDP, path, episodes, world="corridor", progress=False, **options)
+    """All with final observations, so that one program serves them all."""
+    options = {"world": "corridor", "progress": False, "final_observations": True} | options
+    return collect(POMDP, path, episodes, **options)
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(demonstration_writer, "SHARD_BYTES", 1 << 18)
-        return record(tmp_path_factory.mktemp("recorded") / "set", final_observations=True)
+        return record(tmp_path_factory.mktemp("recorded") / "set")
 
 
 @pytest.fixture(scope="module")
@@ -110,10 +113,9 @@ def test_where_the_expert_abstains_the_step_is_not_valid(recorded):
 
 def test_more_episodes_are_a_longer_piece_of_the_same_stream(recorded, tmp_path):
     fewer = record(tmp_path / "set", 100)
-    pairs = zip(fewer, recorded, strict=False)
-    for one, other in pairs:
+    assert fewer.episodes == 100
+    for one, other in zip(fewer, recorded, strict=False):
         np.testing.assert_array_equal(one["observation.vector"], other["observation.vector"])
-        assert "final_observation.vector" not in one
 
 
 def test_successful_only_takes_the_first_of_them(simulated, tmp_path):
@@ -126,10 +128,14 @@ def test_successful_only_takes_the_first_of_them(simulated, tmp_path):
     np.testing.assert_array_equal(lengths, length[success][:300])
 
 
-def test_no_success_is_said_at_once(tmp_path):
-    never = dataclasses.replace(POMDP, sampler=RandomStart(LENGTH, 0))
-    with pytest.raises(JaxactError, match="episodes in a row succeeded: nothing to record"):
-        collect(never, tmp_path, 5000, world="none", successful_only=True, progress=False)
+def test_no_success_is_said_at_once():
+    assembly = EpisodeAssembly(first=0, wanted=9, shard_steps=4, successful_only=True)
+    none = {name: np.zeros((2, 2), bool) for name in ("success", "terminated")}
+    number, ends = np.array([[0, 1], [0, 1]]), np.array([[False, False], [True, True]])
+    step = np.array([[0, 0], [1, 1]])
+    assembly.add(none | {"number": number, "step": step, "truncated": ends, "active": step >= 0})
+    with pytest.raises(JaxactError, match="none of 2 episodes in a row succeeded: nothing to rec"):
+        assembly.take()
 
 
 class Killed(Exception):
@@ -154,7 +160,7 @@ def files_of(path):
 
 @pytest.mark.parametrize("who", ["expert", "policy"])
 def test_resumed_is_bit_for_bit_what_was_not_interrupted(monkeypatch, tmp_path, who, policy):
-    options = {"policy": policy, "actor": {"run": "some"}} if who == "policy" else {}
+    options = {"policy": policy, "greedy": True} if who == "policy" else {}
     whole = record(tmp_path / "whole", **options)
     for shard in (0, 2, 3):
         with monkeypatch.context() as patch:
@@ -172,7 +178,7 @@ def test_resumed_is_bit_for_bit_what_was_not_interrupted(monkeypatch, tmp_path, 
 @pytest.fixture(scope="module")
 def policy():
     zeros = POMDP.observation_space.zeros()["vector"][None]
-    params = MODEL.init(
+    params = jax.jit(MODEL.init)(
         jax.random.key(0),
         {"vector": zeros},
         MODEL.initial_memory(1),
@@ -211,7 +217,7 @@ def test_a_finished_set_is_left_alone(tmp_path):
     [
         ({"seed": 1}, "holds other demonstrations: its seed is 0, but 1 was asked for"),
         ({"episodes": 60}, "holds other demonstrations: its settings is .*; choose another"),
-        ({"final_observations": True}, "its final observations is False, but True was asked for"),
+        ({"final_observations": False}, "its final observations is True, but False was asked for"),
     ],
 )
 def test_other_demonstrations_are_not_mixed_in(tmp_path, options, message):
@@ -233,17 +239,24 @@ def test_what_cannot_be_recorded(tmp_path):
         record(tmp_path / "other.txt" / "set", 5)
 
 
+FILE = """
+import dataclasses
+from tests.jaxact.test_collect import POMDP
+from tests.tiny import experiment as make
+
+experiment = dataclasses.replace(make(), pomdp=POMDP)
+"""
+
+
 def test_worlds_experiments_and_what_is_neither(tmp_path, capsys):
     file = tmp_path / "small.py"
-    file.write_text("from tests.tiny import experiment as make\n\nexperiment = make()\n")
-    collect_named(str(file), tmp_path / "set", 40, overrides=["pomdp.sampler.horizon=3"])
+    file.write_text(FILE)
+    collect_named(str(file), tmp_path / "set", 40, final_observations=True)
     printed = capsys.readouterr().out.splitlines()
     assert printed[0] == "compiling"
-    assert printed[1].startswith("recording  40/40 episodes")
+    assert printed[-2].startswith("recording  40/40 episodes")
     assert printed[-1].startswith(f"{tmp_path / 'set'}: 40 of 40 episodes played, ")
-    opened = Demonstrations(tmp_path / "set")
-    assert opened.description.world == "corridor"
-    assert max(len(episode["reward"]) for episode in opened) == 3
+    assert Demonstrations(tmp_path / "set").description.world == "corridor"
     with pytest.raises(JaxactError, match="unknown world or experiment 'BabyAI-GoToLocl-v0'; the"):
         collect_named("BabyAI-GoToLocl-v0", tmp_path / "none", 4)
     with pytest.raises(JaxactError, match="is not a run's directory, so it has no checkpoint"):

@@ -17,7 +17,7 @@ from jaxact.demonstrations import (
     space_from_json,
     space_to_json,
 )
-from jaxact.spaces import Box, Dict, Discrete, Space, Tuple
+from jaxact.spaces import Box, Dict, Discrete, Tuple
 from tests.corridor import CellAndGoal, corridor
 
 OBSERVATIONS = Dict(
@@ -195,8 +195,5 @@ def test_what_the_format_cannot_hold():
     with pytest.raises(JaxactError, match=r"observation.x has dtype bfloat16, which .npy"):
         narrow.fields()
 
-    class Ring(Space):
-        pass
-
-    with pytest.raises(JaxactError, match="cannot be recorded with a space like"):
-        space_to_json(object.__new__(type("Ring", (Ring,), {"__abstractmethods__": frozenset()})))
+    with pytest.raises(JaxactError, match="cannot be recorded with a space like None"):
+        space_to_json(None)

@@ -12,7 +12,7 @@ def permutation(size, key):
     return np.asarray(shuffled(jnp.arange(size, dtype=jnp.uint32), size, jnp.uint32(key)))
 
 
-@pytest.mark.parametrize("size", [1, 2, 3, 7, 16, 1000, 4097])
+@pytest.mark.parametrize("size", [1, 3, 16, 4097])
 def test_each_index_once(size):
     np.testing.assert_array_equal(np.sort(permutation(size, 5)), np.arange(size))
 
@@ -23,7 +23,7 @@ def test_keys_give_different_orders():
     assert (one == np.arange(1000)).mean() < 0.02
 
 
-@pytest.mark.parametrize("size", [2, 3, 5, 12])
+@pytest.mark.parametrize("size", [2, 3, 12])
 def test_every_place_is_as_likely_as_any(size):
     """Counts of (index, place) over many keys, against the χ² that independent draws would have."""
     keys = 4000
