@@ -10,9 +10,9 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 NOTEBOOK = REPOSITORY / "examples" / "quickstart.ipynb"
 # Training takes too long for every day: the same cells with fewer steps and episodes.
 SHORTER = {
-    "steps=40_000": "steps=2_048",
-    "steps=20_000": "steps=2_048",
-    "steps=16_384": "steps=4_096",
+    "steps=40_000": "steps=1_024",
+    "steps=20_000": "steps=1_024",
+    "steps=16_384": "steps=2_048",
     "evaluation_episodes=500": "evaluation_episodes=50",
     "evaluate_expert(pomdp, 500)": "evaluate_expert(pomdp, 50)",
     "evaluate_policy(pomdp, policy, 500)": "evaluate_policy(pomdp, policy, 50)",

@@ -12,7 +12,7 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 README = REPOSITORY / "README.md"
 # Training takes too long for every day: the same code with fewer steps and episodes.
 SHORTER = {
-    "steps=16_000": "steps=2_048",
+    "steps=16_000": "steps=1_024",
     "steps=8_000": "steps=1_024",
     "evaluation_episodes=200": "evaluation_episodes=50",
 }

@@ -92,7 +92,7 @@ def _plain_program() -> SharedProgram:
 
 def program_of(experiment: Experiment, devices: tuple[Any, ...]) -> Program:
     """In the place of `Program`: trainings of `experiment()` share what they trace and compile."""
-    shared = experiment is _plain() and devices == choose_devices(1)
+    shared = experiment == _plain() and devices == choose_devices(1)
     return _plain_program() if shared else Program(experiment, devices)
 
 
