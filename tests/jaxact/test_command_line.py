@@ -5,7 +5,6 @@ They run in this process, so that programs are shared; two start one of their ow
 
 import dataclasses
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -20,7 +19,7 @@ from jaxact.options import Options
 from jaxact.program import Program, choose_devices
 from jaxact.runs import create_run
 from jaxact.train_state import make_key
-from tests.tiny import UPDATE, cache_environment
+from tests.tiny import UPDATE
 
 FILE = "from tests.tiny import experiment as make\n\nexperiment = make()\n"
 QUICK = ("--no-progress", "--log-every", "128", "--evaluation-episodes", "40")
@@ -301,7 +300,6 @@ def test_every_option_of_python_is_one_of_the_command_line():
 def start(*arguments):
     return subprocess.run(
         [sys.executable, "-m", *arguments],
-        env=os.environ | cache_environment(),
         capture_output=True,
         text=True,
         check=False,
