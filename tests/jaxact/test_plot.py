@@ -284,6 +284,18 @@ def test_notes_tell_what_is_not_drawn(runs: Path) -> None:
     assert plot.figure.axes[1].lines[0].get_xdata().tolist() == [150, 200]
 
 
+def test_stages_that_ended_at_different_steps_are_noted(tmp_path: Path) -> None:
+    """As with early stopping: where both are known, one is in another stage than the other."""
+    for seed, change in enumerate((200, 300)):
+        lines = rows([100, 200, 300, 400])
+        for line in lines:
+            line["stage"] = float(line["step"] >= change)
+        make_run(tmp_path, seed, lines)
+    assert plot_runs([tmp_path]).notes == (
+        "corridor has seeds that changed stages at different steps (seed 0: 200; seed 1: 300)",
+    )
+
+
 def test_runs_without_the_metric(runs: Path) -> None:
     with pytest.raises(
         JaxactError, match=r"unknown metric 'train/sucess'; the nearest is 'train/su"
