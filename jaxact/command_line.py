@@ -1,4 +1,4 @@
-"""The command lines of `python -m jaxact.train`, `jaxact.evaluate` and `jaxact.collect`."""
+"""The command lines of `python -m jaxact.train`, `.evaluate`, `.collect`, `.sweep` and `.plot`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import tyro
 
@@ -98,6 +98,29 @@ class CollectArguments:
     """Show how far it is."""
 
 
+@dataclass(frozen=True)
+class PlotArguments:
+    """Draws learning curves of runs; those that differ only in the seed become one with a band."""
+
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN...")]
+    """Runs' directories, directories with runs inside, or files such as those in docs/results."""
+    metric: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """Draw this metric, for example train/return; may be repeated, for a panel each. Joined by +,
+    as in evaluation/success+train/success, several share one (default: a page of what there is)."""
+    statistic: Literal["median", "mean"] = "median"
+    """Median over seeds with the quartiles, or mean with Student's 95 % interval."""
+    smooth: float = 0
+    """Environment steps over which what was logged while training is averaged."""
+    hours: bool = False
+    """Draw against hours of training instead of environment steps."""
+    label: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """What the legend calls an experiment; to be repeated, in the order of the runs."""
+    output: Path = Path("curves.png")
+    """The figure's file, .png or .svg: both are written."""
+    table: bool = False
+    """Print the final values with their intervals, and write them beside the figure as JSON."""
+
+
 def run_train() -> None:
     """Runs `python -m jaxact.train`."""
     _run("jaxact.train", TrainArguments, _train)
@@ -111,6 +134,11 @@ def run_evaluate() -> None:
 def run_collect() -> None:
     """Runs `python -m jaxact.collect`."""
     _run("jaxact.collect", CollectArguments, _collect)
+
+
+def run_plot() -> None:
+    """Runs `python -m jaxact.plot`."""
+    _run("jaxact.plot", PlotArguments, _plot)
 
 
 def _run(
@@ -209,3 +237,26 @@ def _collect(arguments: CollectArguments) -> int:
         print(f"{arguments.output}: interrupted; the same command goes on with it")
         return 130
     return 0
+
+
+def _plot(arguments: PlotArguments) -> None:
+    from jaxact.plot import check_output, plot_runs
+    from jaxact.runs import write_json
+
+    output = check_output(arguments.output)
+    plot = plot_runs(
+        arguments.runs,
+        metrics=arguments.metric,
+        statistic=arguments.statistic,
+        smooth=arguments.smooth,
+        hours=arguments.hours,
+        labels=arguments.label,
+    )
+    for note in plot.notes:
+        print(f"jaxact.plot: {note}", file=sys.stderr)
+    written = [*plot.save(output)]
+    if arguments.table:
+        print(plot.table())
+        written.append(output.with_suffix(".json"))
+        write_json(written[-1], plot.to_json())
+    print("written:", *written)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+import struct
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -123,6 +124,48 @@ def read_metrics(directory: str | Path) -> list[dict[str, Any]]:
             raise JaxactError(f"{path}, line {number} is not valid JSON") from None
         read.append({tag: math.nan if x is None else x for tag, x in values.items()})
     return read
+
+
+def read_hours(directory: str | Path) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the steps a run has logged and the hours it took until then, float64[n] each.
+
+    The hours count from the opening of the log, and are those of the TensorBoard events. Pauses
+    before a run was resumed are left out, and so is what was lost by them.
+
+    Raises:
+      JaxactError: there are no events.
+    """
+    from tensorboardX.proto.event_pb2 import SessionLog
+
+    files = sorted(Path(directory).glob("events.out.tfevents.*"))
+    if not files:
+        raise JaxactError(f"{directory} has no TensorBoard events, which alone know the hours")
+    steps, hours = [0.0], [0.0]
+    for file in files:
+        began, before = None, hours[-1]
+        for event in _events(file):
+            began = event.wall_time if began is None else began
+            if event.session_log.status == SessionLog.START:
+                while len(steps) > 1 and steps[-1] >= event.step:
+                    del steps[-1], hours[-1]
+                before = hours[-1]
+            elif event.step > steps[-1]:
+                steps.append(float(event.step))
+                hours.append(before + (event.wall_time - began) / 3600)
+    return np.array(steps), np.array(hours)
+
+
+def _events(path: Path) -> Iterator[Any]:
+    """Yields the events of a file in TensorBoard's format; one that was cut short is left out."""
+    from tensorboardX.proto.event_pb2 import Event
+
+    data, start = path.read_bytes(), 0
+    while start + 12 <= len(data):  # length, its checksum, the event, its checksum
+        (length,) = struct.unpack_from("<Q", data, start)
+        end = start + 16 + length
+        if end <= len(data):
+            yield Event.FromString(data[start + 12 : end - 4])
+        start = end
 
 
 def _complete_lines(path: Path) -> list[bytes]:
