@@ -122,9 +122,8 @@ def test_dqn_is_the_formula(fields):
     def value(q):
         return loss(values_of(q, target=values_of(x["target_q"])), batch_of(x), PROGRESS)
 
-    (got, parts), gradient = jax.value_and_grad(value, has_aux=True)(
-        jnp.asarray(x["q"], jnp.float32)
-    )
+    graded = jax.jit(jax.value_and_grad(value, has_aux=True))
+    (got, parts), gradient = graded(jnp.asarray(x["q"], jnp.float32))
     names = {"n_step": "n", "double": "double", "rescale": "rescale", "huber": "delta"}
     expected, error = numpy_dqn(x, **{names[name]: v for name, v in fields.items()})
     assert float(got) == pytest.approx(expected, rel=1e-4)
@@ -180,7 +179,7 @@ def test_pqn_learns_the_lambda_returns():
     np.testing.assert_allclose(advantage + best, expected, rtol=1e-4, atol=1e-5)
 
     batch = batch_of(x | {"returns": expected}, weight=None)
-    loss, parts = PQN()(values_of(x["q"]), batch, PROGRESS)
+    loss, parts = jax.jit(lambda q: PQN()(values_of(q), batch, PROGRESS))(x["q"])
     error = expected - take(x["q"], x["action"])
     assert float(loss) == pytest.approx(0.5 * (error**2).mean(), rel=1e-4)
     assert float(parts["error"]) == pytest.approx(np.abs(error).mean(), rel=1e-4)
@@ -214,9 +213,9 @@ def test_vtrace_loss_is_the_formula():
         return VTrace(discount=DISCOUNT)(output, batch_of(x, weight=None), PROGRESS)[0]
 
     arguments = [jnp.asarray(z, jnp.float32) for z in (x["q"], value)]
-    assert float(loss(*arguments)) == pytest.approx(expected, rel=1e-4)
+    got, gradient = jax.jit(jax.value_and_grad(loss, 1))(*arguments)
+    assert float(got) == pytest.approx(expected, rel=1e-4)
     # Targets are constants: the value's gradient is that of its own square.
-    gradient = jax.grad(loss, 1)(*arguments)
     slope = np.where(known, 0.5 * (value - targets), 0.0) / known.sum()
     np.testing.assert_allclose(gradient, slope, rtol=1e-3, atol=1e-6)
 
@@ -226,26 +225,34 @@ def test_squashed_normal_is_a_density_on_its_box():
     policy = SquashedNormal(mean, log_std, jnp.full((2, 1), 1.0), jnp.full((2, 1), 2.0))
     u = np.linspace(-8, 8, 20_001)
     a = 1.0 + 2.0 * np.tanh(u)
+    inside = np.abs(u) < 3
+
+    @jax.jit
+    def run(actions):
+        far = dataclasses.replace(policy, mean=jnp.full((2, 1), 40.0))
+        return (
+            jax.vmap(policy.log_prob)(actions),
+            policy.entropy(),
+            policy.sample_with_log_prob(jax.random.key(0)),
+            jax.vmap(policy.sample)(jax.random.split(jax.random.key(1), 4000)),
+            far.sample_with_log_prob(jax.random.key(0))[1],
+        )
+
+    both = np.broadcast_to(a[inside, None, None], (inside.sum(), 2, 1))
+    log_probs, entropies, (action, log_prob), many, saturated = run(both.astype(np.float32))
     for row in range(2):
-        one = jax.tree.map(lambda x, row=row: x[row], policy)
         normal = stats.norm(float(mean[row, 0]), np.exp(float(log_std[row, 0])))
         density = np.exp(normal.logpdf(u)) / (2.0 * (1 - np.tanh(u) ** 2))
-        inside = np.abs(u) < 3
-        got = jax.vmap(one.log_prob)(jnp.asarray(a[inside, None], jnp.float32))
-        np.testing.assert_allclose(got, np.log(density[inside]), atol=5e-3)
+        np.testing.assert_allclose(log_probs[:, row], np.log(density[inside]), atol=5e-3)
         weight = normal.pdf(u) * (u[1] - u[0])
         entropy = -(weight * (normal.logpdf(u) - np.log(2.0) - np.log1p(-(np.tanh(u) ** 2)))).sum()
-        assert float(one.entropy()) == pytest.approx(entropy, abs=2e-2)
-    action, log_prob = policy.sample_with_log_prob(jax.random.key(0))
+        assert float(entropies[row]) == pytest.approx(entropy, abs=2e-2)
     np.testing.assert_allclose(log_prob, policy.log_prob(action), rtol=1e-3)
     np.testing.assert_allclose(policy.mode(), 1.0 + 2.0 * np.tanh(mean), rtol=1e-6)
-    many = jax.vmap(policy.sample)(jax.random.split(jax.random.key(1), 4000))
     assert float(jnp.abs(many - 1.0).max()) <= 2.0
     samples = 1.0 + 2.0 * np.tanh(np.random.default_rng(0).normal(0.3, np.exp(-0.5), 4000))
     assert stats.ks_2samp(np.asarray(many[:, 0, 0]), samples).pvalue > 1e-3
-    far = dataclasses.replace(policy, mean=jnp.full((2, 1), 40.0))
-    _, log_prob = far.sample_with_log_prob(jax.random.key(0))
-    assert np.isfinite(log_prob).all()  # where tanh is one to the last bit
+    assert np.isfinite(saturated).all()  # where tanh is one to the last bit
 
 
 def test_epsilon_greedy():
@@ -255,7 +262,8 @@ def test_epsilon_greedy():
     expected = np.array([0.05, 0.85, 0.05, 0.05])
     np.testing.assert_allclose(np.bincount(draws, minlength=4) / 20_000, expected, atol=0.015)
     np.testing.assert_allclose(policy.probabilities[0], expected, rtol=1e-6)
-    np.testing.assert_allclose(policy.log_prob(jnp.ones(20_000, jnp.int32))[0], np.log(0.85))
+    log_prob = policy.log_prob(jnp.ones(20_000, jnp.int32))
+    np.testing.assert_allclose(log_prob[0], np.log(0.85), rtol=1e-5)
     entropy = -(expected * np.log(expected)).sum()
     np.testing.assert_allclose(policy.entropy()[0], entropy, rtol=1e-5)
     greedy = EpsilonGreedy(values, jnp.zeros(20_000))
@@ -269,15 +277,15 @@ def sac_inputs():
     observation = {"vector": jnp.asarray(rng.normal(size=(T, B, 3)), jnp.float32)}
     action = jnp.asarray(x["action"], jnp.float32)
     batch = batch_of(x | {"action": np.zeros(())}, observation=observation, action=action)
-    mean, log_std = (jnp.asarray(rng.normal(size=(T, B, 2)), jnp.float32) for _ in range(2))
+    mean, log_std = (jnp.asarray(0.4 * rng.normal(size=(T, B, 2)), jnp.float32) for _ in range(2))
     loss = SAC(
         critic=Critic(Concatenated({"vector": Vector((4,))}), (5,)),
         discount=DISCOUNT,
         temperature=0.3,
     )
     output = ActorCriticOutput(squashed(mean, log_std), jnp.zeros((T, B)))
-    variables = loss.init(jax.random.key(1), output, observation, action)
-    other = loss.follow(loss.init(jax.random.key(2), output, observation, action), ())
+    init = jax.jit(lambda key: loss.follow(loss.init(key, output, observation, action), ()))
+    variables, other = init(jax.random.key(1)), init(jax.random.key(2))
     return x, loss, batch, (mean, log_std), {**variables, "target": other["target"]}
 
 
@@ -287,14 +295,17 @@ def squashed(mean, log_std):
 
 def test_sac_is_the_formulas():
     x, loss, batch, (mean, log_std), variables = sac_inputs()
-    action, log_prob = (np.asarray(a) for a in _draw(squashed(mean, log_std), batch.key))
+    draw_all = jax.jit(lambda: _draw(squashed(mean, log_std), batch.key))
+    action, log_prob = (np.asarray(a) for a in draw_all())
     u = np.arctanh(action.astype(np.float64))
     normal = stats.norm(np.asarray(mean), np.exp(np.asarray(log_std)))
     exact = (normal.logpdf(u) - np.log1p(-(np.tanh(u) ** 2))).sum(-1)
     np.testing.assert_allclose(log_prob, exact, atol=0.02)
 
+    apply = jax.jit(loss.critic.apply)
+
     def q(critics, name, a):
-        return np.asarray(loss.critic.apply(critics[name], batch.observation, jnp.asarray(a)))
+        return np.asarray(apply(critics[name], batch.observation, jnp.asarray(a)))
 
     names, own, known = ("critic_0", "critic_1"), variables["params"], x["known"]
     soft = np.minimum(*(q(variables["target"], n, action) for n in names)) - 0.3 * log_prob
@@ -310,7 +321,7 @@ def test_sac_is_the_formulas():
     actor = mean_of(0.3 * log_prob - np.minimum(*(q(own, n, action) for n in names)))
     temperature = -np.log(0.3) * mean_of(log_prob - 2.0)
     output = ActorCriticOutput(squashed(mean, log_std), jnp.zeros((T, B)))
-    total, parts = loss(output, batch, PROGRESS, variables)
+    total, parts = jax.jit(lambda v: loss(output, batch, PROGRESS, v))(variables)
     assert float(parts["critic"]) == pytest.approx(critic, rel=1e-3)
     assert float(parts["actor"]) == pytest.approx(actor, rel=1e-3)
     assert float(total) == pytest.approx(critic + actor + temperature, rel=1e-3)
@@ -328,9 +339,9 @@ def test_sac_teaches_each_part_by_its_own_term():
         return jax.grad(value, (0, 1))(policy, variables["params"])
 
     def size(tree):
-        return sum(float(jnp.abs(x).sum()) for x in jax.tree.leaves(tree))
+        return sum(float(np.abs(x).sum()) for x in jax.tree.leaves(tree))
 
-    total, critic, actor = part(""), part("critic"), part("actor")
+    total, critic, actor = jax.jit(lambda: (part(""), part("critic"), part("actor")))()
     assert size(critic[0]) == 0.0  # the critics' error is not the policy's business
     assert size(actor[1]) == 0.0  # nor is the policy's gain the critics', or the temperature's
     np.testing.assert_allclose(total[0][0], actor[0][0], rtol=1e-4, atol=1e-7)
@@ -351,7 +362,7 @@ def test_burn_in_warms_the_memory_and_is_not_learnt_from():
     vector = jnp.asarray(rng.normal(size=(T, B, 5)), jnp.float32)
     inputs = ({"vector": vector}, jnp.zeros((T, B), jnp.int32), jnp.zeros((T, B), bool))
     memory = jnp.asarray(rng.normal(size=(B, 3)), jnp.float32)
-    params = model.init(jax.random.key(0), inputs[0], memory, inputs[1], inputs[2])
+    params = jax.jit(model.init)(jax.random.key(0), inputs[0], memory, inputs[1], inputs[2])
     early, late = (jax.tree.map(lambda x, s=s: x[s], inputs) for s in (slice(2), slice(2, None)))
     batch = batch_of(
         draw(),
@@ -361,14 +372,20 @@ def test_burn_in_warms_the_memory_and_is_not_learnt_from():
         memory=memory,
         burn_in=BurnIn(*early),
     )
-    whole, _ = model.apply(params, inputs[0], memory, inputs[1], inputs[2])
-    output, _ = forward(model, params, batch)
-    np.testing.assert_allclose(output.value, whole.value[2:], rtol=1e-5)
 
     def value(vector):
         burn_in = dataclasses.replace(batch.burn_in, observation={"vector": vector})
         warmed = dataclasses.replace(batch, burn_in=burn_in)
-        return jnp.sum(forward(model, params, warmed)[0].value)
+        output = forward(model, params, warmed)[0].value
+        return jnp.sum(output), output
 
-    assert float(value(early[0]["vector"] + 1.0)) != float(value(early[0]["vector"]))
-    assert not np.any(jax.grad(value)(early[0]["vector"]))
+    @jax.jit
+    def run(vector):
+        whole, _ = model.apply(params, inputs[0], memory, inputs[1], inputs[2])
+        gradient, output = jax.grad(value, has_aux=True)(vector)
+        return whole.value[2:], output, value(vector + 1.0)[1], gradient
+
+    whole, output, other, gradient = run(early[0]["vector"])
+    np.testing.assert_allclose(output, whole, rtol=1e-5, atol=1e-7)
+    assert np.all(other[0] != output[0])
+    assert not np.any(gradient)

@@ -68,6 +68,7 @@ def add(storage, state, first, length, rings=4):
 
 
 def filled(storage, lengths, rings=4):
+    """After rollouts of these lengths. To be compiled: step by step it takes its time."""
     state, first = start(storage, rings), 0
     for length in lengths:
         state = add(storage, state, first, length, rings)
@@ -75,14 +76,18 @@ def filled(storage, lengths, rings=4):
     return state
 
 
-def firsts(storage, state, batches=60, axis_name=None):
+def drawn(storage, lengths, rings=4, batches=60):
     """First steps of many sequences, [batches, lanes], and the last batch."""
-    draw = jax.jit(lambda state: storage.batch(state, (), axis_name))
-    found = []
-    for _ in range(batches):
-        state, batch = draw(state)
-        found.append(np.asarray(batch.reward[0]))
-    return np.stack(found), batch
+
+    def draw(state, _):
+        return storage.batch(state, (), None)
+
+    @jax.jit
+    def run():
+        return jax.lax.scan(draw, filled(storage, lengths, rings), None, batches)[1]
+
+    every = run()
+    return np.asarray(every.reward[:, 0]), jax.tree.map(lambda x: x[-1], every)
 
 
 @pytest.mark.parametrize("kind", [Replay, PrioritizedReplay])
@@ -98,7 +103,7 @@ def firsts(storage, state, batches=60, axis_name=None):
 )
 def test_exactly_the_sequences_wholly_held_are_drawn(kind, stride, lengths, expected):
     storage = replay(kind, stride=stride)
-    found, batch = firsts(storage, filled(storage, lengths))
+    found, batch = drawn(storage, lengths)
     for lane in range(4):
         assert sorted(set(found[:, lane] - 100 * lane)) == list(expected)
     x = found[-1] + np.arange(3)[:, None]
@@ -119,7 +124,7 @@ def test_exactly_the_sequences_wholly_held_are_drawn(kind, stride, lengths, expe
 
 def test_the_burn_in_comes_before_what_is_learnt():
     storage = replay(burn_in=2, stride=2)
-    found, batch = firsts(storage, filled(storage, (5, 5, 5, 4)))
+    found, batch = drawn(storage, (5, 5, 5, 4))
     assert sorted(set(found[:, 0])) == [10, 12, 14, 16]
     early = np.asarray(batch.burn_in.observation["vector"][..., 0])
     np.testing.assert_array_equal(early, found[-1] - np.array([[2], [1]]))
@@ -128,38 +133,37 @@ def test_the_burn_in_comes_before_what_is_learnt():
 
 def test_learning_waits_for_enough_steps_and_for_a_whole_sequence():
     patient, eager = replay(start_after=32), replay()
-    for length, expected in ((2, (False, False)), (7, (False, True)), (8, (True, True))):
-        state = filled(eager, (length,))
-        assert (bool(patient.ready(state, None)), bool(eager.ready(state, None))) == expected
+    ready = jax.jit(lambda state: (patient.ready(state, None), eager.ready(state, None)))
+    state = start(eager)
+    for taken, expected in ((2, (False, False)), (7, (False, True)), (8, (True, True))):
+        assert ready(dataclasses.replace(state, taken=state.taken + taken)) == expected
 
 
 @pytest.mark.parametrize(("rings", "lanes"), [(2, 8), (8, 2), (4, 4)])
 @pytest.mark.parametrize("kind", [Replay, PrioritizedReplay])
 def test_lanes_draw_from_rings_of_their_own_on_any_number_of_devices(kind, rings, lanes):
     storage = replay(kind, lanes=lanes)
-    state = filled(storage, (5, 6), rings)
-    found, batch = firsts(storage, state, batches=40)
-    for lane in range(lanes):
-        of = range(
-            lane * rings // lanes, max(lane * rings // lanes + 1, (lane + 1) * rings // lanes)
-        )
-        assert set(found[:, lane] // 100) == set(of)
 
-    shards = jax.tree.map(lambda x: x.reshape(2, -1, *x.shape[1:]), state)
-    for _ in range(3):
-        state, batch = storage.batch(state, (), None)
-        shards, parts = jax.vmap(lambda s: storage.batch(s, (), "devices"), axis_name="devices")(
-            shards
-        )
-        joined = jnp.concatenate(list(parts.reward), axis=1)
-        np.testing.assert_array_equal(joined, batch.reward)
-        if batch.weight is not None:
-            np.testing.assert_allclose(parts.weight.reshape(-1), batch.weight, rtol=1e-6)
+    @jax.jit
+    def run():
+        state = filled(storage, (5, 6), rings)
+        shards = jax.tree.map(lambda x: x.reshape(2, -1, *x.shape[1:]), state)
+        in_two = jax.vmap(lambda s: storage.batch(s, (), "devices")[1], axis_name="devices")(shards)
+        return storage.batch(state, (), None)[1], in_two
+
+    batch, parts = run()
+    ring = np.asarray(batch.reward[0]).astype(int) // 100
+    # Ring r and lane l go together where r over the rings is l over the lanes, in whole groups.
+    groups = min(rings, lanes)
+    np.testing.assert_array_equal(ring * groups // rings, np.arange(lanes) * groups // lanes)
+    np.testing.assert_array_equal(jnp.concatenate(list(parts.reward), axis=1), batch.reward)
+    if batch.weight is not None:
+        np.testing.assert_allclose(parts.weight.reshape(-1), batch.weight, rtol=1e-6)
 
 
 def test_uniform_draws_are_uniform():
     storage = replay(lanes=400)
-    found, _ = firsts(storage, filled(storage, (12, 7)), batches=10)
+    found, _ = drawn(storage, (12, 7), batches=10)
     _, counts = np.unique(found, return_counts=True)
     assert counts.shape == (40,)  # ten sequences in each of four rings
     # 4000 draws of 40: 100 each, give or take 5 deviations.
@@ -169,46 +173,63 @@ def test_uniform_draws_are_uniform():
 def test_draws_and_weights_are_by_priority():
     """P = p^α / Σ p^α in each lane's rings, weights (1 / P)^β over the greatest of the batch."""
     storage = replay(PrioritizedReplay, lanes=2, alpha=0.5, beta=0.7)
-    state = filled(storage, (8,), rings=2)
-    rng = np.random.default_rng(0)
-    error = np.zeros((2, 12))
-    for _ in range(60):
+    many = dataclasses.replace(storage, lanes=4000)
+    told = np.random.default_rng(0).uniform(0.1, 4.0, (80, 2))
+
+    def tell(state, priority):
         state, batch = storage.batch(state, (), None)
-        ring, first = np.divmod(np.asarray(batch.reward[0]).astype(int), 100)
-        told = rng.uniform(0.1, 4.0, 2)
-        error[ring, first] = told
-        state = storage.reprioritize(state, jnp.asarray(told, jnp.float32))
+        return storage.reprioritize(state, priority), batch.reward[0]
+
+    @jax.jit
+    def run(told):
+        state, first = jax.lax.scan(tell, filled(storage, (8,), rings=2), told)
+        batch = many.batch(state, (), None)[1]
+        return state.priority, first, batch.reward[0], batch.weight
+
+    priority, *firsts, weights = run(jnp.asarray(told, jnp.float32))
+    (ring, first), (later_ring, later) = (np.divmod(np.asarray(x).astype(int), 100) for x in firsts)
+    error = np.zeros((2, 12))
+    for row in range(80):
+        error[ring[row], first[row]] = told[row]
     assert (error[:, :6] > 0).all()
     assert not error[:, 6:].any()
-    np.testing.assert_allclose(state.priority[:, :6], np.sqrt(error[:, :6] + 1e-6), rtol=1e-5)
-    p = np.sqrt(error) / np.sqrt(error).sum(1, keepdims=True)
+    np.testing.assert_allclose(priority[:, :6], np.sqrt(error[:, :6] + 1e-6), rtol=1e-5)
 
-    many = dataclasses.replace(storage, lanes=4000)
-    state, batch = many.batch(state, (), None)
-    ring, first = np.divmod(np.asarray(batch.reward[0]).astype(int), 100)
-    frequency = np.bincount(ring * 12 + first, minlength=24).reshape(2, 12) / 2000
+    p = np.sqrt(error) / np.sqrt(error).sum(1, keepdims=True)
+    frequency = np.bincount(later_ring * 12 + later, minlength=24).reshape(2, 12) / 2000
     np.testing.assert_allclose(frequency, p, atol=5 * 0.5 / np.sqrt(2000))
-    weight = p[ring, first] ** -0.7
-    np.testing.assert_allclose(batch.weight, weight / weight.max(), rtol=1e-3)
+    weight = p[later_ring, later] ** -0.7
+    np.testing.assert_allclose(weights, weight / weight.max(), rtol=1e-3)
 
 
 def test_new_sequences_have_the_highest_priority_of_their_ring():
     storage = replay(PrioritizedReplay, alpha=1.0)
-    state = filled(storage, (8,))
-    np.testing.assert_array_equal(state.priority[:, :8], 1.0)
-    priority = jnp.full((4, 12), 0.5, jnp.float32).at[2, 3].set(9.0)
-    state = add(storage, dataclasses.replace(state, priority=priority), 8, 2)
-    np.testing.assert_array_equal(state.priority[:, 8], [0.5, 0.5, 9.0, 0.5])
-    np.testing.assert_array_equal(state.priority[:, 10], 0.5)
+    told = jnp.full((4, 12), 0.5, jnp.float32).at[2, 3].set(9.0)
+
+    @jax.jit
+    def run():
+        state = filled(storage, (8,))
+        later = add(storage, dataclasses.replace(state, priority=told), 8, 2)
+        return state.priority, later.priority
+
+    before, after = run()
+    np.testing.assert_array_equal(before[:, :8], 1.0)
+    np.testing.assert_array_equal(after[:, 8], [0.5, 0.5, 9.0, 0.5])
+    np.testing.assert_array_equal(after[:, 10], 0.5)
 
 
 def test_what_is_not_held_has_no_priority():
     """Before anything is ready the losses are told of sequences that there are not."""
     storage = replay(PrioritizedReplay)
-    state, _ = storage.batch(filled(storage, (2,)), (), None)
-    before = state.priority
-    state = storage.reprioritize(state, jnp.full(4, 7.0, jnp.float32))
-    np.testing.assert_array_equal(state.priority, before)
+
+    @jax.jit
+    def run():
+        state, _ = storage.batch(filled(storage, (2,)), (), None)
+        told = storage.reprioritize(state, jnp.full(4, 7.0, jnp.float32))
+        return state.priority, told.priority
+
+    before, after = run()
+    np.testing.assert_array_equal(before, after)
 
 
 @pytest.mark.parametrize(
