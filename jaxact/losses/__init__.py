@@ -4,24 +4,38 @@ from jaxact.losses.a2c import A2C as A2C
 from jaxact.losses.advisor import Advisor as Advisor
 from jaxact.losses.advisor import AdvisorImitation as AdvisorImitation
 from jaxact.losses.base import Batch as Batch
+from jaxact.losses.base import Following as Following
 from jaxact.losses.base import Loss as Loss
 from jaxact.losses.base import Progress as Progress
 from jaxact.losses.base import Rewarding as Rewarding
+from jaxact.losses.dqn import DQN as DQN
 from jaxact.losses.imitation import GroupedImitation as GroupedImitation
 from jaxact.losses.imitation import Imitation as Imitation
 from jaxact.losses.policy_gradient import PolicyGradient as PolicyGradient
 from jaxact.losses.ppo import PPO as PPO
+from jaxact.losses.pqn import PQN as PQN
+from jaxact.losses.sac import SAC as SAC
+from jaxact.losses.sac import Critic as Critic
+from jaxact.losses.target import Target as Target
+from jaxact.losses.vtrace import VTrace as VTrace
 
 __all__ = [
     "A2C",
+    "DQN",
     "PPO",
+    "PQN",
+    "SAC",
     "Advisor",
     "AdvisorImitation",
     "Batch",
+    "Critic",
+    "Following",
     "GroupedImitation",
     "Imitation",
     "Loss",
     "PolicyGradient",
     "Progress",
     "Rewarding",
+    "Target",
+    "VTrace",
 ]

@@ -10,18 +10,32 @@ from jaxact import train
 from jaxact.collect import collect
 from jaxact.loading import load_experiment, shipped_examples
 from jaxact.overrides import numbers
-from jaxact.storages import DemonstrationStorage
+from jaxact.storages import DemonstrationStorage, Replay
 
 NAMES = shipped_examples()
 QUICK = "babyai_gotolocal_ppo"
 
 
 def shrunk(experiment):
-    """The same with one update of a few steps in each stage."""
+    """The same with one update of a few steps in each stage, enough for any replay to begin."""
     pipeline = experiment.pipeline
     stages = tuple(
         dataclasses.replace(
-            stage, steps=1, overrides={**stage.overrides, "rollout_length": 2, "epochs": 1}
+            stage,
+            steps=1,
+            storages={
+                name: dataclasses.replace(storage, start_after=0)
+                if isinstance(storage, Replay)
+                else storage
+                for name, storage in stage.storages.items()
+            },
+            overrides={
+                **stage.overrides,
+                "rollout_length": max(
+                    2, *(getattr(x, "window", 0) for x in stage.storages.values()), 0
+                ),
+                "epochs": 1,
+            },
         )
         for stage in pipeline.stages
     )
@@ -56,7 +70,7 @@ def test_examples_train(name, tmp_path, monkeypatch):
             collect(experiment.pomdp, storage.path, 50, world=name, progress=False)
     result = train(experiment, evaluation_episodes=0, progress=False)
     assert result.metrics["stage"].tolist() == list(range(len(experiment.pipeline.stages)))
-    totals = [x for key, x in result.metrics.items() if key.endswith("total")]
+    totals = [x for name, x in result.metrics.items() if name.endswith("/total")]
     assert totals
     assert np.isfinite(totals).all()
     assert (result.metrics["train/gradient_norm"] > 0).all()
