@@ -170,7 +170,7 @@ def advance(program):
         changed = {name.replace("__", "."): np.float32(x) for name, x in changes.items()}
         numbers = program.numbers()
         assert changed.keys() <= numbers.keys()
-        state = start(make_key(0), numbers)
+        state = start(make_key(0), numbers, program.data)
         state, metrics = run(state, numbers | jax.tree.map(jnp.asarray, changed), np.int32(limit))
         return state, jax.tree.map(np.asarray, metrics)
 
