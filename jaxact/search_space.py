@@ -183,7 +183,7 @@ class SearchSpace:
           seed: of the search.
           index: of the draw, from 0.
         """
-        drawn = {}
+        drawn: dict[str, float] = {}
         for paths, value in self.ranges.items():
             entropy = (seed, index, zlib.crc32(",".join(paths).encode()))
             bits = int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0] >> 12)
