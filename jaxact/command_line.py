@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -12,7 +13,7 @@ from typing import Annotated, Literal, TypeVar
 import tyro
 
 from jaxact.errors import JaxactError
-from jaxact.options import Options
+from jaxact.options import Options, SweepOptions
 
 Arguments = TypeVar("Arguments")
 
@@ -121,6 +122,41 @@ class PlotArguments:
     """Print the final values with their intervals, and write them beside the figure as JSON."""
 
 
+@dataclass(frozen=True)
+class SweepArguments(SweepOptions):
+    """Searches an experiment's numbers at random, goes on with a sweep, or compares sweeps."""
+
+    experiment: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="EXPERIMENT")] = (
+        None
+    )
+    """As jaxact.train takes it. With --resume it may be left out: the sweep's own copy is used."""
+
+    draw: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """PATH=RANGE draws one number of the experiment, for example
+    pipeline.learning_rate=log_uniform(1e-4,0.5); may be repeated. Ranges are uniform(LOW,HIGH),
+    log_uniform(LOW,HIGH), normal(MEAN,DEVIATION) and choice(A,B,...); PATH,PATH=RANGE shares a
+    draw."""
+
+    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """PATH=VALUE overrides one value of the experiment; may be repeated."""
+
+    output: Path | None = Path("sweeps")
+    """Directory for sweeps: it goes to OUTPUT/<experiment>/<time of day>."""
+
+    report: tuple[Path, ...] = ()
+    """Sweeps' directories: train nothing, but print and draw what their searches can expect."""
+
+    metric: str = "success"
+    """What is best at the last evaluation: success, return, length or a task's metric."""
+
+    smallest: bool = False
+    """The smallest is the best."""
+
+    figure: Path | None = None
+    """Where the report is drawn, once as .png and once as .svg (default: expected_best in the first
+    sweep's directory)."""
+
+
 def run_train() -> None:
     """Runs `python -m jaxact.train`."""
     _run("jaxact.train", TrainArguments, _train)
@@ -139,6 +175,11 @@ def run_collect() -> None:
 def run_plot() -> None:
     """Runs `python -m jaxact.plot`."""
     _run("jaxact.plot", PlotArguments, _plot)
+
+
+def run_sweep() -> None:
+    """Runs `python -m jaxact.sweep`."""
+    _run("jaxact.sweep", SweepArguments, _sweep)
 
 
 def _run(
@@ -260,3 +301,43 @@ def _plot(arguments: PlotArguments) -> None:
         written.append(output.with_suffix(".json"))
         write_json(written[-1], plot.to_json())
     print("written:", *written)
+
+
+def _sweep(arguments: SweepArguments) -> int:
+    from jaxact.loading import load_experiment
+    from jaxact.overrides import override
+    from jaxact.search_space import SearchSpace
+    from jaxact.sweep import Sweep
+    from jaxact.sweep_records import read_sweep_config
+    from jaxact.sweep_report import report
+
+    def tell(sweeps: tuple[Path, ...]) -> None:
+        print(report(sweeps, arguments.metric, arguments.smallest, arguments.figure))
+
+    if arguments.report:
+        tell(arguments.report)
+        return 0
+    name, draw, assignments = arguments.experiment, arguments.draw, arguments.set
+    if arguments.resume is not None:
+        config = read_sweep_config(arguments.resume)
+        draw = draw or tuple(f"{paths}={text}" for paths, text in config["space"].items())
+        if "source" in config:
+            assignments = tuple(config["overrides"]) + assignments
+            name = name or str(arguments.resume / "source" / config["source"])
+    if name is None:
+        raise JaxactError("name an experiment to search, or a sweep to --resume or to --report")
+    experiment, source = load_experiment(name)
+    experiment = override(experiment, assignments)
+    options = SweepOptions(**{f.name: getattr(arguments, f.name) for f in fields(SweepOptions)})
+    config = {"overrides": list(assignments), "source": source.name}
+    sweep = Sweep(experiment, SearchSpace.parse(draw), options, source, config)
+    try:
+        sweep.run()
+    except KeyboardInterrupt:
+        if sweep.directory is not None:
+            print(f"stopped; go on with --resume {sweep.directory}")
+        return 128 + signal.SIGINT
+    if sweep.directory is not None:
+        tell((sweep.directory,))
+        print(f"sweep: {sweep.directory}")
+    return 0

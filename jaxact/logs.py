@@ -117,7 +117,7 @@ def read_metrics(directory: str | Path) -> list[dict[str, Any]]:
     if not path.is_file():
         raise JaxactError(f"{directory} has no {METRICS}: nothing was logged there")
     read = []
-    for number, line in enumerate(_complete_lines(path), start=1):
+    for number, line in enumerate(complete_lines(path), start=1):
         try:
             values = json.loads(line)
         except ValueError:
@@ -168,7 +168,8 @@ def _events(path: Path) -> Iterator[Any]:
         start = end
 
 
-def _complete_lines(path: Path) -> list[bytes]:
+def complete_lines(path: Path) -> list[bytes]:
+    """Returns a file's lines, without a last one that was cut short."""
     return [line for line in path.read_bytes().splitlines(keepends=True) if line.endswith(b"\n")]
 
 
@@ -176,7 +177,7 @@ def _keep_until(path: Path, step: float) -> None:
     """Drops the lines beyond `step`, and one that was cut short, from the file's end."""
     if not path.exists():
         return
-    lines = _complete_lines(path)
+    lines = complete_lines(path)
     while lines and json.loads(lines[-1])["step"] > step:
         lines.pop()
     with path.open("rb+") as file:
