@@ -7,21 +7,31 @@ from jaxact.losses.base import Batch as Batch
 from jaxact.losses.base import Loss as Loss
 from jaxact.losses.base import Progress as Progress
 from jaxact.losses.base import Rewarding as Rewarding
+from jaxact.losses.cpca import CPCA as CPCA
+from jaxact.losses.cpca import CPCASoftmax as CPCASoftmax
+from jaxact.losses.fusion_entropy import FusionEntropy as FusionEntropy
 from jaxact.losses.imitation import GroupedImitation as GroupedImitation
 from jaxact.losses.imitation import Imitation as Imitation
+from jaxact.losses.inverse_dynamics import InverseDynamics as InverseDynamics
 from jaxact.losses.policy_gradient import PolicyGradient as PolicyGradient
 from jaxact.losses.ppo import PPO as PPO
+from jaxact.losses.temporal_distance import TemporalDistance as TemporalDistance
 
 __all__ = [
     "A2C",
+    "CPCA",
     "PPO",
     "Advisor",
     "AdvisorImitation",
     "Batch",
+    "CPCASoftmax",
+    "FusionEntropy",
     "GroupedImitation",
     "Imitation",
+    "InverseDynamics",
     "Loss",
     "PolicyGradient",
     "Progress",
     "Rewarding",
+    "TemporalDistance",
 ]
