@@ -9,12 +9,14 @@ from jaxact.losses.base import Progress as Progress
 from jaxact.losses.base import Rewarding as Rewarding
 from jaxact.losses.cpca import CPCA as CPCA
 from jaxact.losses.cpca import CPCASoftmax as CPCASoftmax
+from jaxact.losses.curiosity import Curiosity as Curiosity
 from jaxact.losses.fusion_entropy import FusionEntropy as FusionEntropy
 from jaxact.losses.imitation import GroupedImitation as GroupedImitation
 from jaxact.losses.imitation import Imitation as Imitation
 from jaxact.losses.inverse_dynamics import InverseDynamics as InverseDynamics
 from jaxact.losses.policy_gradient import PolicyGradient as PolicyGradient
 from jaxact.losses.ppo import PPO as PPO
+from jaxact.losses.random_network import RandomNetworkDistillation as RandomNetworkDistillation
 from jaxact.losses.temporal_distance import TemporalDistance as TemporalDistance
 
 __all__ = [
@@ -25,6 +27,7 @@ __all__ = [
     "AdvisorImitation",
     "Batch",
     "CPCASoftmax",
+    "Curiosity",
     "FusionEntropy",
     "GroupedImitation",
     "Imitation",
@@ -32,6 +35,7 @@ __all__ = [
     "Loss",
     "PolicyGradient",
     "Progress",
+    "RandomNetworkDistillation",
     "Rewarding",
     "TemporalDistance",
 ]
