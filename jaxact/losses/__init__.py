@@ -11,6 +11,7 @@ from jaxact.losses.cpca import CPCA as CPCA
 from jaxact.losses.cpca import CPCASoftmax as CPCASoftmax
 from jaxact.losses.curiosity import Curiosity as Curiosity
 from jaxact.losses.fusion_entropy import FusionEntropy as FusionEntropy
+from jaxact.losses.gail import GAIL as GAIL
 from jaxact.losses.imitation import GroupedImitation as GroupedImitation
 from jaxact.losses.imitation import Imitation as Imitation
 from jaxact.losses.inverse_dynamics import InverseDynamics as InverseDynamics
@@ -22,6 +23,7 @@ from jaxact.losses.temporal_distance import TemporalDistance as TemporalDistance
 __all__ = [
     "A2C",
     "CPCA",
+    "GAIL",
     "PPO",
     "Advisor",
     "AdvisorImitation",
