@@ -32,7 +32,7 @@ def code_of(text):
 @pytest.mark.parametrize("shortened", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_code_of_the_readme_runs(shortened, tmp_path):
     text = README.read_text(encoding="utf-8")
-    assert len(re.findall(r"^```python$", text, re.M)) == 9
+    assert len(re.findall(r"^```python$", text, re.M)) == 11
     code, flags = code_of(text), {}
     if shortened:
         for long, short in SHORTER.items():
@@ -53,9 +53,12 @@ def test_code_of_the_readme_runs(shortened, tmp_path):
         check=False,
     )
     assert finished.returncode == 0, finished.stderr
-    *_, success, action, position, sweep = finished.stdout.splitlines()
+    *_, success, action, position, sweep, search = finished.stdout.splitlines()
     mean = float(re.search(r"'mean': ([\d.]+)", success)[1])
     assert shortened or mean > 0.5
     assert action in ("left", "right", "forward", "pickup", "drop", "toggle", "done")
     assert position.startswith("[")
     assert sweep == "(2, 3)"
+    rates = [float(x) for x in search.strip("[]").split(", ")]
+    assert len(rates) == 4
+    assert all(0 <= rate <= 1 for rate in rates)
