@@ -8,34 +8,50 @@ from jaxact.losses.base import Following as Following
 from jaxact.losses.base import Loss as Loss
 from jaxact.losses.base import Progress as Progress
 from jaxact.losses.base import Rewarding as Rewarding
+from jaxact.losses.cpca import CPCA as CPCA
+from jaxact.losses.cpca import CPCASoftmax as CPCASoftmax
+from jaxact.losses.curiosity import Curiosity as Curiosity
 from jaxact.losses.dqn import DQN as DQN
+from jaxact.losses.fusion_entropy import FusionEntropy as FusionEntropy
+from jaxact.losses.gail import GAIL as GAIL
 from jaxact.losses.imitation import GroupedImitation as GroupedImitation
 from jaxact.losses.imitation import Imitation as Imitation
+from jaxact.losses.inverse_dynamics import InverseDynamics as InverseDynamics
 from jaxact.losses.policy_gradient import PolicyGradient as PolicyGradient
 from jaxact.losses.ppo import PPO as PPO
 from jaxact.losses.pqn import PQN as PQN
+from jaxact.losses.random_network import RandomNetworkDistillation as RandomNetworkDistillation
 from jaxact.losses.sac import SAC as SAC
 from jaxact.losses.sac import Critic as Critic
 from jaxact.losses.target import Target as Target
+from jaxact.losses.temporal_distance import TemporalDistance as TemporalDistance
 from jaxact.losses.vtrace import VTrace as VTrace
 
 __all__ = [
     "A2C",
+    "CPCA",
     "DQN",
+    "GAIL",
     "PPO",
     "PQN",
     "SAC",
     "Advisor",
     "AdvisorImitation",
     "Batch",
+    "CPCASoftmax",
     "Critic",
+    "Curiosity",
     "Following",
+    "FusionEntropy",
     "GroupedImitation",
     "Imitation",
+    "InverseDynamics",
     "Loss",
     "PolicyGradient",
     "Progress",
+    "RandomNetworkDistillation",
     "Rewarding",
     "Target",
+    "TemporalDistance",
     "VTrace",
 ]

@@ -110,6 +110,22 @@ class Batch:
             raise JaxactError("a loss that imitates was given a batch without expert actions")
         return self.expert
 
+    def lanes_of_all_devices(self, values: jax.Array) -> jax.Array:
+        """Returns `values` [T, B, ...] beside those of the other devices, [T, B of all, ...]."""
+        if self.axis_name is None:
+            return values
+        gathered: jax.Array = jax.lax.all_gather(values, self.axis_name, axis=1, tiled=True)
+        return gathered
+
+    def lanes_of_this_device(self, values: jax.Array) -> jax.Array:
+        """Returns the lanes of this batch [T, B, ...] of what holds those of all devices."""
+        if self.axis_name is None:
+            return values
+        lanes = self.is_first.shape[1]
+        start = jax.lax.axis_index(self.axis_name) * lanes
+        own: jax.Array = jax.lax.dynamic_slice_in_dim(values, start, lanes, axis=1)
+        return own
+
     def mean(self, values: jax.Array, where: jax.Array | None = None) -> jax.Array:
         """Returns this device's share of the mean of `values` [T, B] over the global batch.
 

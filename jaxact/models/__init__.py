@@ -1,6 +1,7 @@
 """Models: linen modules from observations and memory to policy and value."""
 
 from jaxact.models.actor_critic import ActorCritic as ActorCritic
+from jaxact.models.beliefs import MultipleBeliefs as MultipleBeliefs
 from jaxact.models.encoders import BagOfWords as BagOfWords
 from jaxact.models.encoders import Concatenated as Concatenated
 from jaxact.models.encoders import FiLM as FiLM
@@ -30,6 +31,7 @@ __all__ = [
     "GridCodes",
     "Image",
     "InstructedGrid",
+    "MultipleBeliefs",
     "NoMemory",
     "QNetwork",
     "Vector",

@@ -9,6 +9,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
+from jaxact.models.beliefs import Beliefs
 from jaxact.models.heads import ActorHead
 from jaxact.models.memory import GRU
 from jaxact.models.output import ActorCriticOutput
@@ -24,7 +25,7 @@ class ActorCritic(nn.Module):
     Attributes:
       action_space: what the policy chooses from.
       encoder: module from named observations [..., …] to features [..., F].
-      memory: `GRU`, `LSTM`, `NoMemory`, or a module with the same methods.
+      memory: `GRU`, `LSTM`, `NoMemory`, `MultipleBeliefs`, or a module with the same methods.
       previous_action: whether the previous action is fed back as an input.
       auxiliary_actor: whether there is a second actor head on the same features, for losses that
         compare two policies (ADVISOR); the output's extras have its "auxiliary_distribution".
@@ -56,7 +57,8 @@ class ActorCritic(nn.Module):
 
         Returns:
           Policy and value, [B] or [T, B], and the memory after the last step. The extras have the
-          encoder's "embedding" and the "belief" that the heads see, float32 [..., F].
+          encoder's "embedding" and the "belief" that the heads see, float32 [..., F]; of
+          `MultipleBeliefs` also every belief under its name, and the weights of their "fusion".
         """
         features = embedding = self.encoder(observation)
         if self.previous_action:
@@ -64,9 +66,13 @@ class ActorCritic(nn.Module):
             flat = jnp.where(is_first[..., None], 0.0, flat)
             features = jnp.concatenate([features, flat], axis=-1)
         features, memory = self.memory(features, memory, is_first)
+        extras: dict[str, Any] = {}
+        if isinstance(features, Beliefs):
+            extras = {**features.named, "fusion": features.weights}
+            features = features.fused
         distribution = ActorHead(self.action_space, self.squashed, name="actor")(features)
         value = nn.Dense(1, kernel_init=nn.initializers.orthogonal(1.0), name="critic")(features)
-        extras = {"embedding": embedding, "belief": features}
+        extras |= {"embedding": embedding, "belief": features}
         if self.auxiliary_actor:
             auxiliary = ActorHead(self.action_space, self.squashed, name="auxiliary_actor")
             extras["auxiliary_distribution"] = auxiliary(features)

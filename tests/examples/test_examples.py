@@ -5,9 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from examples import advisor
 from jaxact import train
+from jaxact.collect import collect
 from jaxact.loading import load_experiment, shipped_examples
-from jaxact.storages import Replay
+from jaxact.overrides import numbers
+from jaxact.storages import DemonstrationStorage, Replay
 
 NAMES = shipped_examples()
 QUICK = "babyai_gotolocal_ppo"
@@ -44,14 +47,27 @@ def shrunk(experiment):
 def test_examples_can_work(name):
     experiment, _ = load_experiment(name)
     experiment.check()
-    assert experiment.name == name
+    assert experiment.name.startswith(name)
+
+
+def test_all_of_advisors_experiments_can_work():
+    for name, experiment in advisor.experiments.items():
+        experiment.check()
+        assert experiment.name == f"advisor_{name}"
+        paths = advisor.search_space(name)
+        drawn = [x for key in paths for x in (key if isinstance(key, tuple) else (key,))]
+        assert set(drawn) <= numbers(experiment).keys()
 
 
 @pytest.mark.parametrize(
     "name", [x if x == QUICK else pytest.param(x, marks=pytest.mark.slow) for x in NAMES]
 )
-def test_examples_train(name):
+def test_examples_train(name, tmp_path, monkeypatch):
     experiment = shrunk(load_experiment(name)[0])
+    monkeypatch.chdir(tmp_path)
+    for storage in experiment.pipeline.storages.values():
+        if isinstance(storage, DemonstrationStorage):
+            collect(experiment.pomdp, storage.path, 50, world=name, progress=False)
     result = train(experiment, evaluation_episodes=0, progress=False)
     assert result.metrics["stage"].tolist() == list(range(len(experiment.pipeline.stages)))
     totals = [x for name, x in result.metrics.items() if name.endswith("/total")]

@@ -15,7 +15,6 @@ import pytest
 
 from jaxact.checkpoints import Checkpoints
 from jaxact.logs import read_metrics
-from tests.tiny import cache_environment
 
 SCRIPT = """
     import json, sys
@@ -103,7 +102,7 @@ ROOT = Path(__file__).parents[2]
 
 def environment(devices):
     names = {"JAX_NUM_CPU_DEVICES": str(devices), "PYTHONPATH": str(ROOT)}
-    return os.environ | cache_environment() | names
+    return os.environ | names
 
 
 def run(counts, kind, directory):
