@@ -32,7 +32,7 @@ experiment = Experiment(
             Stage(
                 losses={},
                 storages={"replay": replay},
-                steps=600_000,
+                steps=400_000,
                 exploration=Linear(1.0, 0.05, steps=2e5),
             ),
         ),

@@ -32,7 +32,7 @@ def start(storage, rings=4, seed=0):
 
 def numbers(first, length, rings):
     """Step n of lane b is 100 b + n."""
-    steps = jnp.arange(first, first + length, dtype=jnp.float32)
+    steps = first + jnp.arange(length, dtype=jnp.float32)
     return steps[:, None] + 100.0 * jnp.arange(rings, dtype=jnp.float32)
 
 
@@ -67,16 +67,17 @@ def add(storage, state, first, length, rings=4):
     return storage.add(state, trajectory(first, length, rings), before)
 
 
-def filled(storage, lengths, rings=4):
-    """After rollouts of these lengths. To be compiled: step by step it takes its time."""
-    state, first = start(storage, rings), 0
-    for length in lengths:
-        state = add(storage, state, first, length, rings)
-        first += length
-    return state
+def filled(storage, length, times=1, rings=4):
+    """After so many rollouts of this length. To be compiled: op by op it takes its time."""
+
+    def rollout(state, first):
+        return add(storage, state, first, length, rings), None
+
+    firsts = length * jnp.arange(times, dtype=jnp.float32)
+    return jax.lax.scan(rollout, start(storage, rings), firsts)[0]
 
 
-def drawn(storage, lengths, rings=4, batches=60):
+def drawn(storage, length, times, batches=60):
     """First steps of many sequences, [batches, lanes], and the last batch."""
 
     def draw(state, _):
@@ -84,26 +85,30 @@ def drawn(storage, lengths, rings=4, batches=60):
 
     @jax.jit
     def run():
-        return jax.lax.scan(draw, filled(storage, lengths, rings), None, batches)[1]
+        return jax.lax.scan(draw, filled(storage, length, times), None, batches)[1]
 
     every = run()
     return np.asarray(every.reward[:, 0]), jax.tree.map(lambda x: x[-1], every)
 
 
-@pytest.mark.parametrize("kind", [Replay, PrioritizedReplay])
 @pytest.mark.parametrize(
-    ("stride", "lengths", "expected"),
+    ("kind", "stride", "length", "times", "expected"),
     [
-        (1, (5, 4), range(7)),  # not full yet: nothing beyond what was written
-        (1, (5, 5, 5, 4), range(7, 17)),  # across the end of the array, not across the newest step
-        (3, (5, 5, 5, 4), (9, 12, 15)),
-        (3, (4,), (0,)),
-        (4, (12, 7, 12, 3), (24, 28)),
+        # Not full yet: nothing beyond what was written.
+        (Replay, 1, 9, 1, range(7)),
+        # Across the end of the array, not across the newest step.
+        (PrioritizedReplay, 1, 5, 4, range(8, 18)),
+        (Replay, 3, 5, 4, (9, 12, 15)),
+        pytest.param(PrioritizedReplay, 1, 9, 1, range(7), marks=pytest.mark.slow),
+        pytest.param(Replay, 1, 5, 4, range(8, 18), marks=pytest.mark.slow),
+        pytest.param(PrioritizedReplay, 3, 5, 4, (9, 12, 15), marks=pytest.mark.slow),
+        pytest.param(PrioritizedReplay, 3, 4, 1, (0,), marks=pytest.mark.slow),
+        pytest.param(PrioritizedReplay, 4, 7, 5, (24, 28, 32), marks=pytest.mark.slow),
     ],
 )
-def test_exactly_the_sequences_wholly_held_are_drawn(kind, stride, lengths, expected):
+def test_exactly_the_sequences_wholly_held_are_drawn(kind, stride, length, times, expected):
     storage = replay(kind, stride=stride)
-    found, batch = drawn(storage, lengths)
+    found, batch = drawn(storage, length, times)
     for lane in range(4):
         assert sorted(set(found[:, lane] - 100 * lane)) == list(expected)
     x = found[-1] + np.arange(3)[:, None]
@@ -124,8 +129,8 @@ def test_exactly_the_sequences_wholly_held_are_drawn(kind, stride, lengths, expe
 
 def test_the_burn_in_comes_before_what_is_learnt():
     storage = replay(burn_in=2, stride=2)
-    found, batch = drawn(storage, (5, 5, 5, 4))
-    assert sorted(set(found[:, 0])) == [10, 12, 14, 16]
+    found, batch = drawn(storage, 5, 4)
+    assert sorted(set(found[:, 0])) == [8, 10, 12, 14]
     early = np.asarray(batch.burn_in.observation["vector"][..., 0])
     np.testing.assert_array_equal(early, found[-1] - np.array([[2], [1]]))
     np.testing.assert_array_equal(batch.memory, memory_before(jnp.asarray(early[0])))
@@ -139,14 +144,22 @@ def test_learning_waits_for_enough_steps_and_for_a_whole_sequence():
         assert ready(dataclasses.replace(state, taken=state.taken + taken)) == expected
 
 
-@pytest.mark.parametrize(("rings", "lanes"), [(2, 8), (8, 2), (4, 4)])
-@pytest.mark.parametrize("kind", [Replay, PrioritizedReplay])
+@pytest.mark.parametrize(
+    ("kind", "rings", "lanes"),
+    [
+        (PrioritizedReplay, 2, 8),
+        (Replay, 8, 2),
+        pytest.param(PrioritizedReplay, 4, 4, marks=pytest.mark.slow),
+        pytest.param(PrioritizedReplay, 8, 2, marks=pytest.mark.slow),
+        pytest.param(Replay, 2, 8, marks=pytest.mark.slow),
+    ],
+)
 def test_lanes_draw_from_rings_of_their_own_on_any_number_of_devices(kind, rings, lanes):
     storage = replay(kind, lanes=lanes)
 
     @jax.jit
     def run():
-        state = filled(storage, (5, 6), rings)
+        state = filled(storage, 5, 2, rings)
         shards = jax.tree.map(lambda x: x.reshape(2, -1, *x.shape[1:]), state)
         in_two = jax.vmap(lambda s: storage.batch(s, (), "devices")[1], axis_name="devices")(shards)
         return storage.batch(state, (), None)[1], in_two
@@ -163,7 +176,7 @@ def test_lanes_draw_from_rings_of_their_own_on_any_number_of_devices(kind, rings
 
 def test_uniform_draws_are_uniform():
     storage = replay(lanes=400)
-    found, _ = drawn(storage, (12, 7), batches=10)
+    found, _ = drawn(storage, 7, 3, batches=10)
     _, counts = np.unique(found, return_counts=True)
     assert counts.shape == (40,)  # ten sequences in each of four rings
     # 4000 draws of 40: 100 each, give or take 5 deviations.
@@ -182,7 +195,7 @@ def test_draws_and_weights_are_by_priority():
 
     @jax.jit
     def run(told):
-        state, first = jax.lax.scan(tell, filled(storage, (8,), rings=2), told)
+        state, first = jax.lax.scan(tell, filled(storage, 8, rings=2), told)
         batch = many.batch(state, (), None)[1]
         return state.priority, first, batch.reward[0], batch.weight
 
@@ -208,7 +221,7 @@ def test_new_sequences_have_the_highest_priority_of_their_ring():
 
     @jax.jit
     def run():
-        state = filled(storage, (8,))
+        state = filled(storage, 8)
         later = add(storage, dataclasses.replace(state, priority=told), 8, 2)
         return state.priority, later.priority
 
@@ -224,7 +237,7 @@ def test_what_is_not_held_has_no_priority():
 
     @jax.jit
     def run():
-        state, _ = storage.batch(filled(storage, (2,)), (), None)
+        state, _ = storage.batch(filled(storage, 2), (), None)
         told = storage.reprioritize(state, jnp.full(4, 7.0, jnp.float32))
         return state.priority, told.priority
 
@@ -250,4 +263,4 @@ def test_lanes_that_do_not_divide():
     with pytest.raises(JaxactError, match="batches of 4 lanes cannot be drawn evenly from 6"):
         start(replay(), rings=6)
     with pytest.raises(JaxactError, match="cannot hold a rollout of 13"):
-        filled(replay(), (13,))
+        filled(replay(), 13)
