@@ -3,6 +3,7 @@
 from jaxact.losses.a2c import A2C as A2C
 from jaxact.losses.advisor import Advisor as Advisor
 from jaxact.losses.advisor import AdvisorImitation as AdvisorImitation
+from jaxact.losses.base import Anchored as Anchored
 from jaxact.losses.base import Batch as Batch
 from jaxact.losses.base import Loss as Loss
 from jaxact.losses.base import Progress as Progress
@@ -15,6 +16,7 @@ from jaxact.losses.gail import GAIL as GAIL
 from jaxact.losses.imitation import GroupedImitation as GroupedImitation
 from jaxact.losses.imitation import Imitation as Imitation
 from jaxact.losses.inverse_dynamics import InverseDynamics as InverseDynamics
+from jaxact.losses.kl_to_reference import KLToReference as KLToReference
 from jaxact.losses.policy_gradient import PolicyGradient as PolicyGradient
 from jaxact.losses.ppo import PPO as PPO
 from jaxact.losses.random_network import RandomNetworkDistillation as RandomNetworkDistillation
@@ -27,6 +29,7 @@ __all__ = [
     "PPO",
     "Advisor",
     "AdvisorImitation",
+    "Anchored",
     "Batch",
     "CPCASoftmax",
     "Curiosity",
@@ -34,6 +37,7 @@ __all__ = [
     "GroupedImitation",
     "Imitation",
     "InverseDynamics",
+    "KLToReference",
     "Loss",
     "PolicyGradient",
     "Progress",
