@@ -166,7 +166,7 @@ def test_windows_of_one_step_teach_nothing(variables):
 
 
 def test_distances_that_can_be_told_are_told():
-    """Where the embedding holds the time, d = φ_j − φ_i makes no error; half of it half an error."""
+    """Where the embedding holds the time, d = φ_j − φ_i makes no error; half of it, half."""
     time = np.broadcast_to(np.arange(T, dtype=np.float32)[:, None, None], (T, B, 1))
     output, loss = output_of(embedding=time, mine=BELIEF), LOSSES["temporal distance"]
     nothing = jnp.zeros((H, 1), jnp.float32), jnp.zeros(1, jnp.float32)
