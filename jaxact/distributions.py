@@ -35,6 +35,14 @@ class Distribution(ABC):
     def entropy(self) -> jax.Array:
         """Returns the entropy in nats, float32 [batch]."""
 
+    def kl(self, other: Any) -> jax.Array:
+        """Returns KL(self ‖ other) in nats, float32 [batch]; `other` is of the same kind.
+
+        Raises:
+          JaxactError: it is not known in closed form.
+        """
+        raise JaxactError(f"the KL divergence of {type(self).__name__} has no closed form here")
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -62,6 +70,10 @@ class Categorical(Distribution):
     def entropy(self) -> jax.Array:  # noqa: D102
         log_probs = jax.nn.log_softmax(self.logits)
         return -jnp.sum(jnp.exp(log_probs) * log_probs, axis=-1)
+
+    def kl(self, other: Categorical) -> jax.Array:  # noqa: D102
+        log_ratio = jax.nn.log_softmax(self.logits) - jax.nn.log_softmax(other.logits)
+        return jnp.sum(self.probabilities * log_ratio, axis=-1)
 
     @property
     def probabilities(self) -> jax.Array:
@@ -156,6 +168,11 @@ class DiagonalNormal(Distribution):
     def entropy(self) -> jax.Array:  # noqa: D102
         log_std = jnp.broadcast_to(self.log_std, self.mean.shape)
         return jnp.sum(log_std + 0.5 * jnp.log(2 * jnp.pi * jnp.e), axis=-1)
+
+    def kl(self, other: DiagonalNormal) -> jax.Array:  # noqa: D102
+        log_ratio = self.log_std - other.log_std
+        z = (self.mean - other.mean) * jnp.exp(-other.log_std)
+        return jnp.sum(0.5 * (jnp.exp(2 * log_ratio) + z * z - 1.0) - log_ratio, axis=-1)
 
 
 # Of the expectation over a standard normal, exact for polynomials up to degree 31.
@@ -256,3 +273,7 @@ class Joint(Distribution):
 
     def entropy(self) -> jax.Array:  # noqa: D102
         return sum(d.entropy() for d in self._leaves()[0])  # type: ignore[return-value]
+
+    def kl(self, other: Joint) -> jax.Array:  # noqa: D102
+        pairs = zip(self._leaves()[0], other._leaves()[0], strict=True)
+        return sum(ours.kl(theirs) for ours, theirs in pairs)  # type: ignore[return-value]

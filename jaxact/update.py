@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxact.distributions import explore
 from jaxact.experiment import Experiment
 from jaxact.gradients import GradientStep, Learnt, Metrics, stack_metrics
-from jaxact.losses.base import Batch, Loss, Progress, Rewarding
+from jaxact.losses.base import Anchored, Batch, Loss, Progress, Rewarding
 from jaxact.models.output import ActorCriticOutput
 from jaxact.pipeline import Stage, TrainingPipeline
 from jaxact.pomdp import PyTree
@@ -48,6 +48,7 @@ def update(
     stage = pipeline.stages[stage_index]
     settings = pipeline.at(stage)
     progress = _progress(pipeline, stage_index, state.updates)
+    state = replace(state, losses=_anchored(stage, state, state.updates[stage_index] == 0))
     own_rate = "learning_rate" in stage.overrides
     rate_steps = progress.stage_steps if own_rate else progress.total_steps
     learning_rate = value_at(settings.learning_rate, rate_steps)
@@ -156,6 +157,19 @@ def _rollout_update(
     }
     state = replace(state.with_learnt(learnt), storages=storages, sampler=sampler)
     return replace(state, lanes=replace(lanes, key=keys)), metrics, episodes
+
+
+def _anchored(stage: Stage, state: TrainState, begins: jax.Array) -> dict[str, dict[str, PyTree]]:
+    """Returns the losses' variables; where the stage begins, as the losses that look back say."""
+    variables = dict(state.losses)
+    for group in (stage.losses, *(storage.losses for storage in stage.storages.values())):
+        for name, loss in group.items():
+            if isinstance(loss, Anchored):
+                anchored = loss.anchor(state.losses[name], state.params)
+                variables[name] = jax.tree.map(
+                    lambda new, old: jnp.where(begins, new, old), anchored, state.losses[name]
+                )
+    return variables
 
 
 def _add_rewards(

@@ -3,6 +3,7 @@
 from jaxact.losses.a2c import A2C as A2C
 from jaxact.losses.advisor import Advisor as Advisor
 from jaxact.losses.advisor import AdvisorImitation as AdvisorImitation
+from jaxact.losses.base import Anchored as Anchored
 from jaxact.losses.base import Batch as Batch
 from jaxact.losses.base import Following as Following
 from jaxact.losses.base import Loss as Loss
@@ -17,6 +18,7 @@ from jaxact.losses.gail import GAIL as GAIL
 from jaxact.losses.imitation import GroupedImitation as GroupedImitation
 from jaxact.losses.imitation import Imitation as Imitation
 from jaxact.losses.inverse_dynamics import InverseDynamics as InverseDynamics
+from jaxact.losses.kl_to_reference import KLToReference as KLToReference
 from jaxact.losses.policy_gradient import PolicyGradient as PolicyGradient
 from jaxact.losses.ppo import PPO as PPO
 from jaxact.losses.pqn import PQN as PQN
@@ -37,6 +39,7 @@ __all__ = [
     "SAC",
     "Advisor",
     "AdvisorImitation",
+    "Anchored",
     "Batch",
     "CPCASoftmax",
     "Critic",
@@ -46,6 +49,7 @@ __all__ = [
     "GroupedImitation",
     "Imitation",
     "InverseDynamics",
+    "KLToReference",
     "Loss",
     "PolicyGradient",
     "Progress",

@@ -226,3 +226,17 @@ class Rewarding(Protocol):
           float32 [T, B], and the variables with what was learnt of the rollout's statistics.
         """
         ...
+
+
+@runtime_checkable
+class Anchored(Protocol):
+    """A loss that looks back at the policy as it was when the stage began."""
+
+    def anchor(self, variables: dict[str, PyTree], params: PyTree) -> dict[str, PyTree]:
+        """Returns the loss's variables at the beginning of a stage, of the same structure.
+
+        Args:
+          variables: of the loss.
+          params: of the model, as they then are.
+        """
+        ...

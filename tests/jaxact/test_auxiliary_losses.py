@@ -165,6 +165,23 @@ def test_windows_of_one_step_teach_nothing(variables):
     assert [float(x) for x in values(variables)] == [0.0] * len(LOSSES)
 
 
+def test_distances_that_can_be_told_are_told():
+    """Where the embedding holds the time, d = φ_j − φ_i makes no error; half of it, half."""
+    time = np.broadcast_to(np.arange(T, dtype=np.float32)[:, None, None], (T, B, 1))
+    output, loss = output_of(embedding=time, mine=BELIEF), LOSSES["temporal distance"]
+    nothing = jnp.zeros((H, 1), jnp.float32), jnp.zeros(1, jnp.float32)
+
+    def value(slope):
+        kernel = jnp.array([[-slope, slope]], jnp.float32)
+        of_belief = dict(zip(("kernel", "bias"), nothing, strict=True))
+        params = {"embedding": {"kernel": kernel}, "belief": of_belief}
+        return float(loss(output, BATCH, PROGRESS, {"params": params})[0])
+
+    assert value(1.0) == 0.0
+    assert value(0.5) == pytest.approx(0.25 * value(0.0), rel=1e-5)
+    assert value(0.0) > 0.0
+
+
 def test_steps_of_an_episode():
     first, last = first_and_last(jnp.asarray(IS_FIRST))
     for lane, start, end in episodes():

@@ -3,9 +3,11 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy import stats
 
-from jaxact.distributions import Categorical, DiagonalNormal, Joint
+from jaxact.distributions import Categorical, DiagonalNormal, Distribution, Joint
+from jaxact.errors import JaxactError
 
 
 def test_categorical_matches_its_probabilities():
@@ -52,3 +54,45 @@ def test_joint_adds_up_its_parts():
         joint.log_prob(action), a.log_prob(action["a"]) + b.log_prob(action["b"])
     )
     np.testing.assert_allclose(joint.entropy(), a.entropy() + b.entropy())
+
+
+def test_kl_of_categoricals_is_the_sum_over_actions():
+    rng = np.random.default_rng(0)
+    p, q = rng.dirichlet(np.ones(4), 3), rng.dirichlet(np.ones(4), 3)
+    kl = Categorical(jnp.log(jnp.float32(p)) + 3.0).kl(Categorical(jnp.log(jnp.float32(q))))
+    np.testing.assert_allclose(kl, stats.entropy(p, q, axis=-1), rtol=1e-5)
+
+
+def test_kl_of_normals_is_the_mean_log_ratio():
+    p = DiagonalNormal(jnp.array([0.5, -1.0]), jnp.array([0.2, -0.3]))
+    q = DiagonalNormal(jnp.array([0.1, 0.0]), jnp.array([0.0, 0.4]))
+    nodes, weights = np.polynomial.hermite_e.hermegauss(20)
+    expected = 0.0
+    for mean, log_std, other_mean, other_log_std in zip(
+        *map(np.asarray, (p.mean, p.log_std, q.mean, q.log_std)), strict=True
+    ):
+        x = mean + np.exp(log_std) * nodes
+        ours, theirs = (
+            stats.norm(mean, np.exp(log_std)),
+            stats.norm(other_mean, np.exp(other_log_std)),
+        )
+        log_ratio = ours.logpdf(x) - theirs.logpdf(x)
+        expected += (weights * log_ratio).sum() / weights.sum()
+    assert float(p.kl(q)) == pytest.approx(expected, rel=1e-5)
+    assert float(p.kl(p)) == 0.0
+
+
+def test_kl_of_joints_adds_up_and_others_say_that_they_have_none():
+    a, b = (Categorical(normal) for normal in jax.random.normal(jax.random.key(0), (2, 3, 4)))
+    c, d = (
+        DiagonalNormal(jnp.zeros((3, 1)), jnp.zeros(1)),
+        DiagonalNormal(jnp.ones((3, 1)), jnp.ones(1)),
+    )
+    joint = Joint({"x": a, "y": c}).kl(Joint({"x": b, "y": d}))
+    np.testing.assert_allclose(joint, a.kl(b) + c.kl(d))
+
+    class Uncommon(Categorical):
+        kl = Distribution.kl
+
+    with pytest.raises(JaxactError, match="Uncommon has no closed form"):
+        Uncommon(a.logits).kl(b)
