@@ -166,10 +166,10 @@ def test_abstains_only_where_nothing_helps(name: str) -> None:
         assert record.won[lane] == ~record.abstained[lane], lane
 
 
-# Shares of episodes in which the expert does not succeed. All but the last two are levels that cannot
-# be solved, as in the package: the key is behind its own door, or was replaced by a ball; a strict
-# target is walled in; of two strict doors, the toggle that opens the first fails the second. In the
-# last two a room can be too crowded for this expert.
+# Shares of episodes in which the expert does not succeed. All but the last two are levels that
+# cannot be solved, as in the package: the key is behind its own door, or was replaced by a ball; a
+# strict target is walled in; of two strict doors, the toggle that opens the first fails the second.
+# In the last two a room can be too crowded for this expert.
 LOST = {
     "BabyAI-GoToImpUnlock-v0": 0.022,
     "BabyAI-OpenDoorsOrderN2Debug-v0": 2 / 3,
