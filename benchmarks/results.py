@@ -2,7 +2,7 @@
 
 Run `python -m benchmarks.results RUN [RUN ...]`: each run becomes a file with the command that
 makes it, the commit, the seed, versions, the training curve and the held-out evaluations with their
-intervals; `docs/results/<figure>.png` shows success against steps for all of them.
+intervals; `docs/results/<figure>.png` and `.svg` show success against steps for all of them.
 """
 
 from __future__ import annotations
@@ -34,14 +34,18 @@ class Arguments:
 
 def main() -> None:
     """Parses the command line and writes the files."""
+    from jaxact.plot import plot_runs
+
     arguments = tyro.cli(Arguments)
     arguments.output.mkdir(parents=True, exist_ok=True)
-    results = [result_of(run, arguments.commit) for run in arguments.runs]
-    for result in results:
-        path = arguments.output / f"{result['name']}.json"
-        path.write_text(json.dumps(result, indent=1) + "\n")
-        print(path)
-    _draw(results, arguments.output / f"{arguments.figure}.png")
+    files = []
+    for run in arguments.runs:
+        result = result_of(run, arguments.commit)
+        files.append(arguments.output / f"{result['name']}.json")
+        files[-1].write_text(json.dumps(result, indent=1) + "\n")
+        print(files[-1])
+    figure = plot_runs(files, metrics=("evaluation/success+train/success",))
+    print(*figure.save(arguments.output / f"{arguments.figure}.png"))
 
 
 def result_of(run: Path, commit: str) -> dict[str, Any]:
@@ -64,6 +68,7 @@ def result_of(run: Path, commit: str) -> dict[str, Any]:
         f"--seed {config['seed']}{options}",
         "trained_steps": trained,
         "commit": commit,
+        "fingerprint": config["fingerprint"],
         "seeds": [config["seed"]],
         "versions": json.loads((run / "versions.json").read_text()),
         "curve": {
@@ -73,30 +78,6 @@ def result_of(run: Path, commit: str) -> dict[str, Any]:
         "evaluations": evaluations,
         "final": evaluations[-1],
     }
-
-
-def _draw(results: list[dict[str, Any]], path: Path) -> None:
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
-    for result in results:
-        steps = [x["step"] / 1e6 for x in result["evaluations"]]
-        success = [x["success"]["mean"] for x in result["evaluations"]]
-        low, high = zip(*(x["success"]["interval"] for x in result["evaluations"]), strict=True)
-        curve = result["curve"]
-        (line,) = axes.plot(
-            [x / 1e6 for x in curve["step"]], curve["train/success"], alpha=0.35, linewidth=1
-        )
-        axes.plot(steps, success, "o-", color=line.get_color(), label=result["name"], markersize=4)
-        axes.fill_between(steps, low, high, color=line.get_color(), alpha=0.15)
-    axes.axhline(0.99, color="grey", linewidth=0.8, linestyle=":")
-    axes.set(xlabel="environment steps (millions)", ylabel="success", ylim=(0, 1.02))
-    axes.set_title("Dots: 1,000 held-out episodes with 95 % intervals; thin: during training")
-    axes.legend(loc="lower right")
-    figure.savefig(path, dpi=130)
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ _LAZY = {
     "evaluate_policy": "evaluation",
     "evaluate_expert": "evaluation",
     "override": "overrides",
+    "sweep": "sweep",
     "train": "train",
 }
 _SUBMODULES = ("losses", "models", "samplers", "schedules", "spaces", "testing")

@@ -58,6 +58,25 @@ def together(work: Callable[..., PyTree]) -> Callable[..., PyTree]:
     return alone
 
 
+@custom_vmap
+def anywhere(condition: jax.Array) -> jax.Array:
+    """Returns whether a condition, bool scalar, holds in any of the entries of a `vmap`.
+
+    A loop that goes on while this is true does so for all entries together. It needs no copy of
+    what it carries for those that are done, as JAX would make at every pass; its body has to leave
+    them as they are, or as good.
+    """
+    return condition
+
+
+@anywhere.def_vmap
+def _anywhere_in_batch(
+    axis_size: int, in_batched: Any, condition: jax.Array
+) -> tuple[jax.Array, bool]:
+    del axis_size, in_batched
+    return anywhere(jnp.any(condition)), False
+
+
 def for_each_chosen(
     mask: jax.Array,
     carry: PyTree,
@@ -83,7 +102,7 @@ def for_each_chosen(
     nothing = jnp.full(min(size, max(8, size // share)), size, jnp.int32)
 
     def some_left(state: tuple[jax.Array, PyTree]) -> jax.Array:
-        return jnp.any(state[0])
+        return anywhere(jnp.any(state[0]))
 
     def do_some(state: tuple[jax.Array, PyTree]) -> tuple[jax.Array, PyTree]:
         left, carry = state

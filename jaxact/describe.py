@@ -44,7 +44,7 @@ def describe(experiment: Experiment, devices: int | None = None) -> str:
         compiled = program.compile_stage(index, 1)
         memory = compiled.memory_analysis()
         size = pipeline.steps_per_update(stage)
-        lines += ["", f"stage {index}: {', '.join(stage.losses)}"]
+        lines += ["", f"stage {index}: {', '.join((*stage.losses, *stage.storages))}"]
         lines.append(f"  {pipeline.updates(stage):,} updates of {size:,} environment steps")
         lines.append(f"  {len(program.devices)} device(s), {_bytes(memory)} on each")
         lines.append(
@@ -82,12 +82,13 @@ def model_flops(experiment: Experiment, lanes: int) -> float:
 
 def update_flops(experiment: Experiment, stage_index: int) -> float:
     """Returns the model's FLOPs for each environment step of a stage: one pass to act, and one
-    forward and two backward passes' worth in every epoch.
+    forward and two backward passes' worth in every epoch and for every step of a storage's batch.
     """
-    settings = experiment.pipeline.at(experiment.pipeline.stages[stage_index])
-    lanes = settings.lanes
-    forward = model_flops(experiment, lanes) / lanes
-    return forward * (1 + 3 * settings.epochs)
+    pipeline, stage = experiment.pipeline, experiment.pipeline.stages[stage_index]
+    forward = model_flops(experiment, pipeline.lanes) / pipeline.lanes
+    epochs = pipeline.at(stage).epochs if stage.losses else 0
+    stored = sum(storage.steps for storage in stage.storages.values())
+    return forward * (stage.acts + 3 * (epochs + stored / pipeline.steps_per_update(stage)))
 
 
 def _text(value: Any) -> str:

@@ -6,11 +6,12 @@ Leading axes are batch axes; the event axes are those of one action.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxact.errors import JaxactError
 
@@ -55,14 +56,8 @@ class Categorical(Distribution):
     logits: jax.Array
 
     def sample(self, key: jax.Array) -> jax.Array:
-        """Draws int32 [batch] by inverting the cumulative sum: one uniform number an action."""
-        cumulative = jnp.cumsum(jax.nn.softmax(self.logits), axis=-1)
-        uniform = jax.random.uniform(key, (*self.logits.shape[:-1], 1), jnp.float32)
-        # Scaling by the last sum keeps the draw inside the support whatever the rounding.
-        below = cumulative <= uniform * cumulative[..., -1:]
-        return jnp.minimum(
-            jnp.sum(below, axis=-1, dtype=jnp.int32), jnp.int32(self.logits.shape[-1] - 1)
-        )
+        """Draws int32 [batch]."""
+        return _draw(key, jax.nn.softmax(self.logits))
 
     def mode(self) -> jax.Array:  # noqa: D102
         return jnp.argmax(self.logits, axis=-1).astype(jnp.int32)
@@ -84,6 +79,66 @@ class Categorical(Distribution):
     def probabilities(self) -> jax.Array:
         """float32 [batch, n]."""
         return jax.nn.softmax(self.logits)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class EpsilonGreedy(Distribution):
+    """Over 0 … n − 1: the action of the highest value, or with probability ε any at random.
+
+    Attributes:
+      values: float32 [batch, n].
+      epsilon: ε, float32 [batch].
+    """
+
+    values: jax.Array
+    epsilon: jax.Array
+
+    @property
+    def probabilities(self) -> jax.Array:
+        """float32 [batch, n]."""
+        actions = self.values.shape[-1]
+        epsilon = self.epsilon[..., None]
+        return (1.0 - epsilon) * jax.nn.one_hot(self.mode(), actions) + epsilon / actions
+
+    def sample(self, key: jax.Array) -> jax.Array:  # noqa: D102
+        return _draw(key, self.probabilities)
+
+    def mode(self) -> jax.Array:  # noqa: D102
+        return jnp.argmax(self.values, axis=-1).astype(jnp.int32)
+
+    def log_prob(self, action: jax.Array) -> jax.Array:  # noqa: D102
+        chosen = jax.nn.one_hot(action, self.values.shape[-1])
+        return jnp.log(jnp.sum(self.probabilities * chosen, axis=-1))
+
+    def entropy(self) -> jax.Array:  # noqa: D102
+        probabilities = self.probabilities
+        return -jnp.sum(jax.scipy.special.xlogy(probabilities, probabilities), axis=-1)
+
+
+def explore(distribution: Distribution, epsilon: jax.Array) -> EpsilonGreedy:
+    """Returns the distribution with another ε, float32 scalar.
+
+    Raises:
+      JaxactError: it is none of those that have one.
+    """
+    if not isinstance(distribution, EpsilonGreedy):
+        raise JaxactError(
+            "a stage's exploration is for models that choose greedily, such as QNetwork; "
+            f"{type(distribution).__name__} explores by itself"
+        )
+    return replace(distribution, epsilon=jnp.broadcast_to(epsilon, distribution.epsilon.shape))
+
+
+def _draw(key: jax.Array, probabilities: jax.Array) -> jax.Array:
+    """Draws int32 [batch] by inverting the cumulative sum: one uniform number an action."""
+    cumulative = jnp.cumsum(probabilities, axis=-1)
+    uniform = jax.random.uniform(key, (*probabilities.shape[:-1], 1), jnp.float32)
+    # Scaling by the last sum keeps the draw inside the support whatever the rounding.
+    below = cumulative <= uniform * cumulative[..., -1:]
+    return jnp.minimum(
+        jnp.sum(below, axis=-1, dtype=jnp.int32), jnp.int32(probabilities.shape[-1] - 1)
+    )
 
 
 @jax.tree_util.register_dataclass
@@ -118,6 +173,78 @@ class DiagonalNormal(Distribution):
         log_ratio = self.log_std - other.log_std
         z = (self.mean - other.mean) * jnp.exp(-other.log_std)
         return jnp.sum(0.5 * (jnp.exp(2 * log_ratio) + z * z - 1.0) - log_ratio, axis=-1)
+
+
+# Of the expectation over a standard normal, exact for polynomials up to degree 31.
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(16)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SquashedNormal(Distribution):
+    """Independent normals u, squashed into a box: a = centre + half · tanh(u).
+
+    Log-probabilities are those of a, by the change of variables; of Haarnoja et al. 2018,
+    appendix C (https://arxiv.org/abs/1801.01290), in the form that does not lose precision where
+    tanh saturates: log(1 − tanh²u) = 2 (log 2 − u − softplus(−2u)).
+
+    Attributes:
+      mean: of u, float32 [batch, d].
+      log_std: of u, float32 [batch, d].
+      centre: of the box, float32, broadcastable to `mean`.
+      half: half the box's width, float32, broadcastable to `mean`.
+    """
+
+    mean: jax.Array
+    log_std: jax.Array
+    centre: jax.Array
+    half: jax.Array
+
+    def sample_with_log_prob(self, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Draws an action, differentiable by the parameters, and returns its log-probability.
+
+        Unlike `log_prob`, it need not find the u of an action, of which rounding at the box's edges
+        leaves little.
+        """
+        noise = jax.random.normal(key, self.mean.shape, self.mean.dtype)
+        u = self.mean + jnp.exp(self.log_std) * noise
+        return self._squash(u), self._log_prob(u)
+
+    def sample(self, key: jax.Array) -> jax.Array:  # noqa: D102
+        return self.sample_with_log_prob(key)[0]
+
+    def mode(self) -> jax.Array:
+        """Returns the squashed mean: the median, where the density has its peak elsewhere."""
+        return self._squash(self.mean)
+
+    def log_prob(self, action: jax.Array) -> jax.Array:
+        """Returns the log-density of `action`, at the box's very edges that of just inside."""
+        inside = jnp.clip((action - self.centre) / self.half, -1.0 + 1e-6, 1.0 - 1e-6)
+        return self._log_prob(jnp.arctanh(inside))
+
+    def entropy(self) -> jax.Array:
+        """Returns the entropy: the normal's in closed form, the squashing's by quadrature."""
+        log_std = jnp.broadcast_to(self.log_std, self.mean.shape)
+        nodes = jnp.asarray(_NODES, self.mean.dtype)
+        u = self.mean[..., None] + jnp.exp(log_std)[..., None] * nodes
+        weights = jnp.asarray(_WEIGHTS / _WEIGHTS.sum(), self.mean.dtype)
+        squashing = jnp.sum(_log_slope_of_tanh(u) * weights, axis=-1) + jnp.log(self.half)
+        return jnp.sum(log_std + 0.5 * jnp.log(2 * jnp.pi * jnp.e) + squashing, axis=-1)
+
+    def kl(self, other: SquashedNormal) -> jax.Array:
+        """Returns that of the normals, which squashing into the same box leaves as it is."""
+        return DiagonalNormal(self.mean, self.log_std).kl(DiagonalNormal(other.mean, other.log_std))
+
+    def _squash(self, u: jax.Array) -> jax.Array:
+        return self.centre + self.half * jnp.tanh(u)
+
+    def _log_prob(self, u: jax.Array) -> jax.Array:
+        normal = DiagonalNormal(self.mean, self.log_std).log_prob(u)
+        return normal - jnp.sum(_log_slope_of_tanh(u) + jnp.log(self.half), axis=-1)
+
+
+def _log_slope_of_tanh(u: jax.Array) -> jax.Array:
+    return 2.0 * (jnp.log(2.0) - u - jax.nn.softplus(-2.0 * u))
 
 
 @jax.tree_util.register_dataclass

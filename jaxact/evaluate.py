@@ -57,6 +57,32 @@ def load_policy(
     return Policy(experiment.model, params, experiment.pomdp.action_space)
 
 
+def choose_checkpoints(run: str | Path, which: str) -> list[int]:
+    """Returns the steps of a run's checkpoints: "newest", "best", "all" or one step.
+
+    Raises:
+      JaxactError: there is no such run or checkpoint.
+    """
+    checkpoints = Checkpoints(open_run(run) / "checkpoints")
+    steps = checkpoints.steps()
+    if not steps:
+        raise JaxactError("the run has no checkpoints yet")
+    match which:
+        case "newest":
+            return steps[-1:]
+        case "best":
+            best = checkpoints.best()
+            return steps[-1:] if best is None else [best]
+        case "all":
+            return steps
+    if which.isdigit() and int(which) in steps:
+        return [int(which)]
+    raise JaxactError(
+        f"there is no checkpoint {which!r}; choose newest, best, all or one of "
+        f"{', '.join(map(str, steps))}"
+    )
+
+
 def evaluate_run(
     run: str | Path,
     *,
@@ -84,7 +110,7 @@ def evaluate_run(
     path = open_run(run)
     trained, experiment = load_run(path), load_run(path, overrides)
     results = []
-    for step in _chosen(Checkpoints(path / "checkpoints"), checkpoint):
+    for step in choose_checkpoints(path, checkpoint):
         policy = load_policy(path, trained, step)
         outcome = evaluate_policy(experiment.pomdp, policy, episodes, seed=seed, greedy=greedy)
         summary = {"step": step, "seed": seed, "greedy": greedy, **outcome.summary()}
@@ -117,26 +143,6 @@ def print_summary(title: str, summary: dict[str, Any]) -> None:
         if isinstance(value, dict):
             low, high = value["interval"]
             print(f"  {name:20} {value['mean']:.4f} [{low:.4f}, {high:.4f}]")
-
-
-def _chosen(checkpoints: Checkpoints, which: str) -> list[int]:
-    steps = checkpoints.steps()
-    if not steps:
-        raise JaxactError("the run has no checkpoints yet")
-    match which:
-        case "newest":
-            return steps[-1:]
-        case "best":
-            best = checkpoints.best()
-            return steps[-1:] if best is None else [best]
-        case "all":
-            return steps
-    if which.isdigit() and int(which) in steps:
-        return [int(which)]
-    raise JaxactError(
-        f"there is no checkpoint {which!r}; choose newest, best, all or one of "
-        f"{', '.join(map(str, steps))}"
-    )
 
 
 if __name__ == "__main__":

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxact.actors import Actor, expert_actor, policy_actor
 from jaxact.caching import cached_by_identity
-from jaxact.policy import Policy, PolicyMemory
+from jaxact.compaction import anywhere
+from jaxact.policy import Policy
 from jaxact.pomdp import POMDP, PyTree, State
 from jaxact.rollout import select
 from jaxact.statistics import confidence_interval, mean_interval
 from jaxact.train_state import make_key
 
-# Episodes played side by side; more are played in turns.
+# Episodes played side by side, of one policy and of several together; more are played in turns.
 MAX_LANES = 1000
+MAX_LANES_OF_SEVERAL = 20_000
 # Folded into the seed, so that no episode drawn here is one that was trained on.
 HELD_OUT = 0x6A78_6576
 
@@ -76,8 +79,8 @@ def evaluate_policy(
 
     The same seed gives the same episodes to every policy.
     """
-    player = _policy_player(pomdp, policy.model, greedy)
-    return _evaluate(player, policy.params, episodes, seed)
+    player = _compiled_policy_player(pomdp, policy.model, greedy)
+    return _evaluate(player, policy.params, episodes, seed, MAX_LANES)
 
 
 def evaluate_expert(pomdp: POMDP, episodes: int = 1000, *, seed: int = 0) -> Evaluation:
@@ -86,7 +89,28 @@ def evaluate_expert(pomdp: POMDP, episodes: int = 1000, *, seed: int = 0) -> Eva
     Raises:
       JaxactError: the task has no expert.
     """
-    return _evaluate(_expert_player(pomdp), (), episodes, seed)
+    return _evaluate(_expert_player(pomdp), (), episodes, seed, MAX_LANES)
+
+
+def evaluate_policies(
+    player: Player, params: PyTree, episodes: int = 1000, *, seed: int = 0
+) -> list[Evaluation]:
+    """Plays several policies of one model on the same held-out episodes, side by side.
+
+    Args:
+      player: `policy_player(...)` under `vmap` over its first argument, and compiled.
+      params: of N policies, leading axis [N].
+      episodes: how many held-out episodes each of them plays.
+      seed: of the episodes; they are those that `evaluate_policy` plays.
+
+    Returns:
+      An evaluation for each policy.
+    """
+    policies = jax.tree.leaves(params)[0].shape[0]
+    lanes = max(1, min(MAX_LANES, MAX_LANES_OF_SEVERAL // policies))
+    joined = _evaluate(player, params, episodes, seed, lanes)
+    parts = {f.name: getattr(joined, f.name) for f in fields(Evaluation)}
+    return [Evaluation(**jax.tree.map(lambda x, i=i: x[i], parts)) for i in range(policies)]
 
 
 def held_out_keys(seed: int, episodes: int) -> tuple[jax.Array, jax.Array]:
@@ -115,41 +139,25 @@ class _Play:
     kinds: dict[str, jax.Array]
 
 
-Actor = Callable[[PyTree, jax.Array, _Play], tuple[PyTree, PyTree]]
 Player = Callable[[PyTree, jax.Array, jax.Array], _Play]
 
 
+def policy_player(pomdp: POMDP, model: Any, greedy: bool) -> Player:
+    """Makes (parameters, reset keys [B], step keys [B]) -> finished episodes, to be compiled."""
+    return _player(pomdp, policy_actor(pomdp, model, greedy))
+
+
 @cached_by_identity
-def _policy_player(pomdp: POMDP, model: Any, greedy: bool) -> Player:
-    def act(params: PyTree, keys: jax.Array, play: _Play) -> tuple[PyTree, PyTree]:
-        policy = Policy(model, params, pomdp.action_space)
-        output, memory = policy.output(play.observation, play.memory)
-        if greedy:
-            action = output.distribution.mode()
-        else:
-            action = jax.vmap(lambda d, key: d.sample(key))(output.distribution, keys)
-        return action, PolicyMemory(memory, action, jnp.zeros_like(play.done))
-
-    def initial(lanes: int) -> PyTree:
-        return Policy(model, (), pomdp.action_space).initial_memory(lanes)
-
-    return _player(pomdp, act, initial)
+def _compiled_policy_player(pomdp: POMDP, model: Any, greedy: bool) -> Player:
+    return jax.jit(policy_player(pomdp, model, greedy))
 
 
 @cached_by_identity
 def _expert_player(pomdp: POMDP) -> Player:
-    def act(params: PyTree, keys: jax.Array, play: _Play) -> tuple[PyTree, PyTree]:
-        del params
-        expert_keys, random_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
-        expert = jax.vmap(pomdp.expert)(expert_keys, play.state)
-        random = jax.vmap(pomdp.action_space.sample)(random_keys)
-        return select(expert.valid, expert.action, random), play.memory
-
-    return _player(pomdp, act, lambda lanes: ())
+    return jax.jit(_player(pomdp, expert_actor(pomdp)))
 
 
-def _player(pomdp: POMDP, act: Actor, initial: Callable[[int], PyTree]) -> Player:
-    """Compiles (parameters, reset keys [B], step keys [B]) -> finished episodes."""
+def _player(pomdp: POMDP, actor: Actor) -> Player:
     pomdp = replace(pomdp, sampler=pomdp.sampler.held_out)
 
     def play_episodes(params: PyTree, reset_keys: jax.Array, step_keys: jax.Array) -> _Play:
@@ -162,7 +170,7 @@ def _player(pomdp: POMDP, act: Actor, initial: Callable[[int], PyTree]) -> Playe
         first = _Play(
             state=state,
             observation=observation,
-            memory=initial(lanes),
+            memory=actor.initial_memory(lanes),
             done=jnp.zeros(lanes, bool),
             success=jnp.zeros(lanes, bool),
             episode_return=zeros,
@@ -174,8 +182,8 @@ def _player(pomdp: POMDP, act: Actor, initial: Callable[[int], PyTree]) -> Playe
         def advance(play: _Play) -> _Play:
             split = jax.vmap(lambda key, t: jax.random.split(jax.random.fold_in(key, t)))
             act_keys, world_keys = jnp.moveaxis(split(step_keys, play.state.steps), 1, 0)
-            action, memory = act(params, act_keys, play)
-            state, step = jax.vmap(pomdp.step)(world_keys, play.state, action)
+            chosen, memory = actor.act(params, act_keys, play.state, play.observation, play.memory)
+            state, step = jax.vmap(pomdp.step)(world_keys, play.state, chosen.action)
             metrics = {f"task/{n}": x for n, x in step.metrics.items()}
             for name, reward in step.reward_terms.items():
                 metrics[f"reward/{name}"] = play.metrics[f"reward/{name}"] + reward
@@ -192,16 +200,18 @@ def _player(pomdp: POMDP, act: Actor, initial: Callable[[int], PyTree]) -> Playe
             )
             return select(play.done, play, after)
 
-        return jax.lax.while_loop(lambda play: ~jnp.all(play.done), advance, first)
+        return jax.lax.while_loop(lambda play: anywhere(~jnp.all(play.done)), advance, first)
 
-    return jax.jit(play_episodes)
+    return play_episodes
 
 
-def _evaluate(player: Player, params: PyTree, episodes: int, seed: int) -> Evaluation:
+def _evaluate(
+    player: Player, params: PyTree, episodes: int, seed: int, max_lanes: int
+) -> Evaluation:
     reset_keys, step_keys = held_out_keys(seed, episodes)
     # Batches of one size, so that one program serves all; what the last one lacks is played again
     # and left out.
-    turns = -(-episodes // MAX_LANES)
+    turns = -(-episodes // max_lanes)
     lanes = -(-episodes // turns)
     parts = []
     for turn in range(turns):
@@ -210,6 +220,6 @@ def _evaluate(player: Player, params: PyTree, episodes: int, seed: int) -> Evalu
 
     results = [(p.success, p.episode_return, p.length, p.metrics, p.kinds) for p in parts]
     joined = jax.tree.map(
-        lambda *xs: np.concatenate([np.asarray(x) for x in xs])[:episodes], *results
+        lambda *xs: np.concatenate([np.asarray(x) for x in xs], axis=-1)[..., :episodes], *results
     )
     return Evaluation(*joined)

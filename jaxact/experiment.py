@@ -76,6 +76,10 @@ class Experiment:
             raise JaxactError(
                 f"{where}: its {storage.lanes} lanes do not divide among {devices} devices"
             )
+        try:
+            storage.width(self.pipeline.lanes)
+        except JaxactError as error:
+            raise JaxactError(f"{where}: {error}") from None
         first = self.pipeline.storages[name]
         alike = replace(storage, losses=first.losses, weights=first.weights, updates=first.updates)
         if alike != first:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import optax
 from jax.flatten_util import ravel_pytree
 
-from jaxact.losses.base import Batch, Loss, Progress
+from jaxact.losses.base import PRIORITY, TARGET_MODEL, Batch, Following, Loss, Progress
+from jaxact.models.output import ActorCriticOutput
 from jaxact.pomdp import PyTree
 from jaxact.schedules import Schedule, value_at
 
@@ -60,9 +61,13 @@ class GradientStep:
     optimizer: optax.GradientTransformation
     prefix: str = "losses"
 
-    def __call__(self, learnt: Learnt, batch: Batch) -> tuple[Learnt, Metrics, PyTree]:
-        """Returns what is learnt, metrics, and the model's memory after the batch."""
-        grads, (metrics, memory) = jax.grad(self._objective, has_aux=True)(
+    def __call__(
+        self, learnt: Learnt, batch: Batch
+    ) -> tuple[Learnt, Metrics, PyTree, jax.Array | None]:
+        """Returns what is learnt, metrics, the model's memory after the batch, and the sequences'
+        priorities [B] where a loss tells them: their weighted sum over the losses.
+        """
+        grads, (metrics, memory, priority) = jax.grad(self._objective, has_aux=True)(
             learnt.trained, learnt.losses, batch
         )
         flat, unflatten = ravel_pytree(grads)
@@ -80,29 +85,51 @@ class GradientStep:
             name: {**variables, "params": own[name]} if "params" in variables else variables
             for name, variables in learnt.losses.items()
         }
-        return Learnt(params, losses, optimizer), metrics, memory
+        for name, loss in self.losses.items():
+            if isinstance(loss, Following):
+                losses[name] = loss.follow(losses[name], params)
+        return Learnt(params, losses, optimizer), metrics, memory, priority
 
     def _objective(
         self, trained: tuple[PyTree, dict[str, PyTree]], variables: PyTree, batch: Batch
-    ) -> tuple[jax.Array, tuple[Metrics, PyTree]]:
-        """Returns the weighted sum of the losses, their metrics, and the model's memory."""
+    ) -> tuple[jax.Array, tuple[Metrics, PyTree, jax.Array | None]]:
+        """Returns the weighted sum of the losses, metrics, the model's memory, and priorities."""
         params, own = trained
-        output, memory = self.model.apply(
-            params, batch.observation, batch.memory, batch.previous_action, batch.is_first
-        )
-        total = jnp.float32(0)
+        output, memory = forward(self.model, params, batch)
+        total, priority = jnp.float32(0), None
         metrics: Metrics = {}
         for name, loss in self.losses.items():
             arguments: tuple[Any, ...] = (output, batch, self.progress)
             if loss.has_variables:
                 arguments += ({**variables[name], "params": own[name]},)
+                if TARGET_MODEL in variables[name]:
+                    target, _ = forward(self.model, variables[name][TARGET_MODEL], batch)
+                    extras = {**output.extras, "target": target}
+                    arguments = (replace(output, extras=extras), *arguments[1:])
             value, parts = loss(*arguments)
             weight = value_at(self.weights.get(name, 1.0), self.progress.stage_steps)
             total = total + weight * value
+            if PRIORITY in parts:
+                told = jax.lax.stop_gradient(weight * parts.pop(PRIORITY))
+                priority = told if priority is None else priority + told
             metrics |= {f"{self.prefix}/{name}/{part}": x for part, x in parts.items()}
             metrics[f"{self.prefix}/{name}/weight"] = weight
         metrics[f"{self.prefix}/total"] = total
-        return total, (metrics, memory)
+        return total, (metrics, memory, priority)
+
+
+def forward(model: Any, params: PyTree, batch: Batch) -> tuple[ActorCriticOutput, PyTree]:
+    """Returns the model's output on a batch, [T, B], and its memory after it.
+
+    No gradient reaches what the model makes of the batch's burn-in.
+    """
+    memory, early = batch.memory, batch.burn_in
+    if early is not None:
+        _, memory = model.apply(
+            params, early.observation, memory, early.previous_action, early.is_first
+        )
+        memory = jax.lax.stop_gradient(memory)
+    return model.apply(params, batch.observation, memory, batch.previous_action, batch.is_first)
 
 
 def stack_metrics(metrics: Metrics) -> jax.Array:

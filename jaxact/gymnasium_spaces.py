@@ -35,6 +35,29 @@ def to_space(space: spaces.Space, flatten: bool = False) -> gymnasium.Space[Any]
     raise JaxactError(f"Gymnasium has no space like {space}")
 
 
+def from_space(space: gymnasium.Space[Any]) -> spaces.Space:
+    """Returns the space of the same values; wider numbers become float32 and int32.
+
+    Raises:
+      JaxactError: there is none.
+    """
+    match space:
+        case gymnasium.spaces.Discrete() if space.start == 0:
+            return spaces.Discrete(int(space.n))
+        case gymnasium.spaces.Box():
+            dtype = np.dtype({"f8": "f4", "i8": "i4"}.get(space.dtype.str[1:], space.dtype))
+            low, high = float(space.low.min()), float(space.high.max())
+            if np.issubdtype(dtype, np.integer):
+                limits = np.iinfo(dtype)
+                low, high = max(low, limits.min), min(high, limits.max)
+            return spaces.Box(low, high, space.shape, str(dtype))
+        case gymnasium.spaces.Tuple():
+            return spaces.Tuple(tuple(from_space(part) for part in space.spaces))
+        case gymnasium.spaces.Dict():
+            return spaces.Dict({name: from_space(part) for name, part in space.spaces.items()})
+    raise JaxactError(f"jaxact has no space like Gymnasium's {space}")
+
+
 def to_numpy(space: spaces.Space, value: PyTree, flatten: bool) -> Any:
     """Returns a value of `space`, or a batch of them, as Gymnasium has it."""
     match space:

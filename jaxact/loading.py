@@ -15,26 +15,45 @@ EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
 
 def load_experiment(name: str) -> tuple[Experiment, Path]:
-    """Loads the `experiment` that a Python file defines.
+    """Loads the `experiment` that a Python file defines, or one of its `experiments`.
 
     Args:
       name: a file ("examples/babyai_gotolocal.py"), a dotted module name, or the name of a shipped
-        example ("babyai_gotolocal").
+        example ("babyai_gotolocal"); with a colon and a key behind it, an entry of the mapping
+        `experiments` in that file ("examples/advisor.py:poisoned_doors_ppo").
 
     Returns:
       The experiment, and the file it was defined in.
 
     Raises:
-      JaxactError: there is no such file, module or example, or it defines no experiment.
+      JaxactError: there is no such file, module or example, or it defines no such experiment.
     """
-    module, path = _load_module(name)
-    experiment = getattr(module, "experiment", None)
+    file, variant = split_variant(name)
+    module, path = _load_module(file)
+    if variant:
+        experiments = getattr(module, "experiments", {})
+        if variant not in experiments:
+            raise unknown(f"entry of `experiments` in {path}", variant, experiments)
+        experiment = experiments[variant]
+    else:
+        experiment = getattr(module, "experiment", None)
     if not isinstance(experiment, Experiment):
         found = "nothing of that name" if experiment is None else f"a {type(experiment).__name__}"
         raise JaxactError(
             f"{path} must define `experiment`, a jaxact.Experiment, but it has {found}"
         )
     return experiment, path
+
+
+def split_variant(name: str) -> tuple[str, str]:
+    """Splits "file.py:key" into the file and the key, which is empty where there is none.
+
+    >>> split_variant("examples/advisor.py:poisoned_doors_ppo")
+    ('examples/advisor.py', 'poisoned_doors_ppo')
+    """
+    file, colon, variant = name.rpartition(":")
+    # A path of Windows has a colon behind the drive's letter.
+    return (file, variant) if colon and variant.isidentifier() else (name, "")
 
 
 def shipped_examples() -> list[str]:

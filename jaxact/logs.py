@@ -5,7 +5,8 @@ from __future__ import annotations
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+import struct
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -116,7 +117,7 @@ def read_metrics(directory: str | Path) -> list[dict[str, Any]]:
     if not path.is_file():
         raise JaxactError(f"{directory} has no {METRICS}: nothing was logged there")
     read = []
-    for number, line in enumerate(_complete_lines(path), start=1):
+    for number, line in enumerate(complete_lines(path), start=1):
         try:
             values = json.loads(line)
         except ValueError:
@@ -125,7 +126,50 @@ def read_metrics(directory: str | Path) -> list[dict[str, Any]]:
     return read
 
 
-def _complete_lines(path: Path) -> list[bytes]:
+def read_hours(directory: str | Path) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the steps a run has logged and the hours it took until then, float64[n] each.
+
+    The hours count from the opening of the log, and are those of the TensorBoard events. Pauses
+    before a run was resumed are left out, and so is what was lost by them.
+
+    Raises:
+      JaxactError: there are no events.
+    """
+    from tensorboardX.proto.event_pb2 import SessionLog
+
+    files = sorted(Path(directory).glob("events.out.tfevents.*"))
+    if not files:
+        raise JaxactError(f"{directory} has no TensorBoard events, which alone know the hours")
+    steps, hours = [0.0], [0.0]
+    for file in files:
+        began, before = None, hours[-1]
+        for event in _events(file):
+            began = event.wall_time if began is None else began
+            if event.session_log.status == SessionLog.START:
+                while len(steps) > 1 and steps[-1] >= event.step:
+                    del steps[-1], hours[-1]
+                before = hours[-1]
+            elif event.step > steps[-1]:
+                steps.append(float(event.step))
+                hours.append(before + (event.wall_time - began) / 3600)
+    return np.array(steps), np.array(hours)
+
+
+def _events(path: Path) -> Iterator[Any]:
+    """Yields the events of a file in TensorBoard's format; one that was cut short is left out."""
+    from tensorboardX.proto.event_pb2 import Event
+
+    data, start = path.read_bytes(), 0
+    while start + 12 <= len(data):  # length, its checksum, the event, its checksum
+        (length,) = struct.unpack_from("<Q", data, start)
+        end = start + 16 + length
+        if end <= len(data):
+            yield Event.FromString(data[start + 12 : end - 4])
+        start = end
+
+
+def complete_lines(path: Path) -> list[bytes]:
+    """Returns a file's lines, without a last one that was cut short."""
     return [line for line in path.read_bytes().splitlines(keepends=True) if line.endswith(b"\n")]
 
 
@@ -133,7 +177,7 @@ def _keep_until(path: Path, step: float) -> None:
     """Drops the lines beyond `step`, and one that was cut short, from the file's end."""
     if not path.exists():
         return
-    lines = _complete_lines(path)
+    lines = complete_lines(path)
     while lines and json.loads(lines[-1])["step"] > step:
         lines.pop()
     with path.open("rb+") as file:

@@ -44,7 +44,7 @@ class Stage:
 
     Attributes:
       losses: named losses, all on one forward pass of the model over the rollout; without any
-        there is no rollout, and the stage learns from its storages alone.
+        the stage learns from its storages alone, and there is a rollout only to fill them.
       steps: length in environment steps, over all lanes (without a rollout: in steps of the
         storages' batches); the last update may overshoot it.
       weights: weight of each named loss (default 1); numbers or schedules of the stage's steps.
@@ -55,6 +55,8 @@ class Stage:
       storages: named storages with losses of their own, learnt from after each rollout.
       rewards: weight of each named component of the reward in what is learnt (default 1); numbers
         or schedules of the stage's steps. Episodes' returns are reported as the task has them.
+      exploration: ε, the probability of an action at random; for models that choose greedily, such
+        as `QNetwork`. A number or a schedule of the stage's steps; None leaves them greedy.
     """
 
     losses: Mapping[str, Loss]
@@ -65,6 +67,7 @@ class Stage:
     overrides: Mapping[str, Any] = field(default_factory=dict)
     storages: Mapping[str, Storage] = field(default_factory=dict)
     rewards: Mapping[str, float | Schedule] = field(default_factory=dict)
+    exploration: float | Schedule | None = None
 
     def __post_init__(self) -> None:
         if not self.losses and not self.storages:
@@ -74,6 +77,11 @@ class Stage:
                 raise unknown("loss in a stage's weights", name, self.losses)
         for name in ("losses", "weights", "overrides", "storages", "rewards"):
             object.__setattr__(self, name, FrozenMapping(getattr(self, name)))
+
+    @property
+    def acts(self) -> bool:
+        """Whether there are rollouts."""
+        return bool(self.losses) or any(storage.acts for storage in self.storages.values())
 
     @property
     def needs_expert(self) -> bool:
@@ -141,7 +149,7 @@ class TrainingPipeline:
         """Environment steps of one update of `stage`, over all lanes; without a rollout, steps of
         its storages.
         """
-        if not stage.losses:
+        if not stage.acts:
             return sum(storage.steps for storage in stage.storages.values())
         return self.lanes * self.at(stage).rollout_length
 

@@ -28,21 +28,29 @@ class ProgressDisplay:
       total_steps: environment steps of the whole run.
       enabled: whether anything is shown.
       interval: seconds between plain lines.
+      unit: what is counted, if not steps.
     """
 
-    def __init__(self, total_steps: int, enabled: bool = True, interval: float = 10.0) -> None:
+    def __init__(
+        self,
+        total_steps: int,
+        enabled: bool = True,
+        interval: float = 10.0,
+        unit: str = "steps",
+    ) -> None:
         self._total = total_steps
+        self._unit = unit
         self._enabled = enabled
         self._interval = interval
         self._console = Console()
-        self._rate = _Rate()
+        self._rate = _Rate(unit)
         self._last_line = -math.inf
         self._live: Live | None = None
         self._bar = Progress(
             TextColumn("[bold]{task.description}"),
             BarColumn(bar_width=None),
             TaskProgressColumn(),
-            TextColumn("{task.completed:,.0f} / {task.total:,.0f} steps"),
+            TextColumn(f"{{task.completed:,.0f}} / {{task.total:,.0f}} {unit}"),
             _RateColumn(self._rate),
             expand=True,
         )
@@ -82,9 +90,8 @@ class ProgressDisplay:
         elif time.monotonic() - self._last_line >= self._interval or steps >= self._total:
             self._last_line = time.monotonic()
             shown = "  ".join(f"{_label(n)} {x:.3f}" for n, x in _chosen(metrics).items())
-            self._print(
-                f"{stage}  {steps:,}/{self._total:,} steps  {self._rate.text(self._total)}  {shown}"
-            )
+            done = f"{steps:,}/{self._total:,} {self._unit}"
+            self._print(f"{stage}  {done}  {self._rate.text(self._total)}  {shown}")
 
     def message(self, text: str) -> None:
         """Prints a line that stays."""
@@ -101,7 +108,8 @@ class ProgressDisplay:
 class _Rate:
     """Steps a second over the last updates; the first, which compiles, does not count."""
 
-    def __init__(self) -> None:
+    def __init__(self, unit: str) -> None:
+        self._unit = unit
         self._seen: list[tuple[float, int]] = []
 
     def add(self, steps: int) -> None:
@@ -116,10 +124,10 @@ class _Rate:
     def text(self, total: int) -> str:
         rate = self.per_second()
         if not rate:
-            return "- steps/s"
+            return f"- {self._unit}/s"
         left = max(total - self._seen[-1][1], 0) / rate
         minutes, seconds = divmod(round(left), 60)
-        return f"{rate:,.0f} steps/s  {minutes}:{seconds:02d} left"
+        return f"{rate:,.0f} {self._unit}/s  {minutes}:{seconds:02d} left"
 
 
 class _RateColumn(ProgressColumn):

@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxact.compaction import for_each_chosen, put_rows
+from jaxact.compaction import anywhere, for_each_chosen, put_rows
 from jaxact.models.output import ActorCriticOutput
 from jaxact.pomdp import POMDP, Episode, ExpertAction, FinishedEpisodes, PyTree, State, Step
 
@@ -157,10 +157,11 @@ def turn_over(
     """
 
     def runs_dry(queue: EpisodeQueue) -> jax.Array:
-        return jnp.any(finished & (queue.served >= queue.drawn))
+        return anywhere(jnp.any(finished & (queue.served >= queue.drawn)))
 
-    # A loop of at most one pass rather than a `cond`: under `vmap` (over seeds or draws) a cond
-    # would run both branches at every step, while this loop still runs only if some queue is dry.
+    # A loop of at most one pass, which works in place. Under `vmap` (over seeds or draws) all
+    # queues are refilled as soon as one is dry; were it decided for each run by itself, what is
+    # sampled for the others would be thrown away and sampled again.
     queue = jax.lax.while_loop(runs_dry, lambda queue: refill(pomdp, sampler_state, queue), queue)
     state, observation = _take(pomdp, queue, finished, state, observation)
     queue = replace(queue, served=queue.served + finished.astype(jnp.int32))

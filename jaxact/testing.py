@@ -25,7 +25,7 @@ def check_pomdp(pomdp: POMDP, *, seed: int = 0, lanes: int = 4, steps: int = 16)
     """
     assert hash(pomdp) == hash(pomdp), "the POMDP is not hashable"
     key = jax.random.key(seed)
-    state, observation = pomdp.reset(key)
+    state, observation = jax.jit(pomdp.reset)(key)
     action = pomdp.action_space.sample(key)
     _check_structure(pomdp, state, observation, action)
     _check_purity(pomdp, state, action)
@@ -122,7 +122,7 @@ def _fresh_step(pomdp: POMDP) -> Any:
 def _check_expert(pomdp: POMDP, key: jax.Array, state: State) -> None:
     if not pomdp.has_expert:
         return
-    advice = pomdp.expert(key, state)
+    advice = jax.jit(pomdp.expert)(key, state)
     expected = pomdp.action_space.structure
     chex.assert_trees_all_equal_shapes_and_dtypes(advice.action, expected)
     assert _is_scalar(advice.valid, jnp.bool_), "the expert's `valid` must be a bool scalar"

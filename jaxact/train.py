@@ -9,19 +9,18 @@ from __future__ import annotations
 import dataclasses
 import math
 import signal
-import sys
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import jax
 import numpy as np
 
+from jaxact.callable_module import make_callable
 from jaxact.checkpoints import Checkpoints
 from jaxact.errors import JaxactError, unknown
 from jaxact.evaluation import Evaluation, evaluate_policy
@@ -390,14 +389,7 @@ def _count_of(name: str) -> str:
     return name.rpartition("/")[0] + "/count" if of_kind else "episodes/count"
 
 
-class _CallableModule(ModuleType):
-    """Lets `jaxact.train(...)` work although Python binds that name to this module on import."""
-
-    def __call__(self, *args: Any, **kwargs: Any) -> TrainResult:
-        return train(*args, **kwargs)
-
-
-sys.modules[__name__].__class__ = _CallableModule
+make_callable(__name__)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import optax
 
 from jaxact.experiment import Experiment
 from jaxact.gradients import Learnt
-from jaxact.losses.base import Loss
+from jaxact.losses.base import Following, Loss
 from jaxact.pomdp import PyTree
 from jaxact.rollout import QUEUE_LENGTH, QUEUE_LENGTH_IF_LEARNING, Lanes, start_lanes
 
@@ -101,10 +101,14 @@ def _init_losses(experiment: Experiment, params: PyTree, key: jax.Array) -> dict
     inputs = _zero_inputs(experiment)
     output, _ = experiment.model.apply(params, *inputs)
     keys = jax.random.split(key, len(losses))
-    return {
+    variables = {
         name: loss.init(key, output, inputs[0], inputs[2])
         for key, (name, loss) in zip(keys, losses.items(), strict=True)
     }
+    for name, loss in losses.items():
+        if isinstance(loss, Following):
+            variables[name] = loss.follow(variables[name], params)
+    return variables
 
 
 def load_data(experiment: Experiment) -> dict[str, PyTree]:
@@ -137,7 +141,7 @@ def start(experiment: Experiment, key: jax.Array, data: Mapping[str, PyTree]) ->
         name: storage.init(
             pomdp,
             experiment.model,
-            jax.random.split(jax.random.fold_in(lanes_key, index), storage.lanes),
+            jax.random.split(jax.random.fold_in(lanes_key, index), storage.width(pipeline.lanes)),
             data.get(name, ()),
         )
         for index, (name, storage) in enumerate(pipeline.storages.items())

@@ -9,9 +9,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxact.distributions import explore
 from jaxact.experiment import Experiment
 from jaxact.gradients import GradientStep, Learnt, Metrics, stack_metrics
 from jaxact.losses.base import Anchored, Batch, Loss, Progress, Rewarding
+from jaxact.models.output import ActorCriticOutput
 from jaxact.pipeline import Stage, TrainingPipeline
 from jaxact.pomdp import PyTree
 from jaxact.returns import episode_means, generalized_advantages
@@ -59,7 +61,7 @@ def update(
 
     metrics: Metrics = {}
     stopped, block = state.stopped[stage_index], state.block[stage_index]
-    if stage.losses:
+    if stage.acts:
         on_policy = gradient_step(stage.losses, stage.weights, "losses")
         state, metrics, episodes = _rollout_update(
             experiment, stage, on_policy, state, progress, axis_name
@@ -93,8 +95,16 @@ def _rollout_update(
     """Acts, and learns from it; returns the state, metrics, and sums over finished episodes."""
     pomdp, settings = experiment.pomdp, experiment.pipeline.at(stage)
 
-    def policy(*inputs: Any) -> Any:
-        return experiment.model.apply(state.params, *inputs)
+    metrics: Metrics = {}
+    if stage.exploration is not None:
+        metrics["train/exploration"] = value_at(stage.exploration, progress.stage_steps)
+
+    def policy(*inputs: Any) -> tuple[ActorCriticOutput, PyTree]:
+        output, memory = experiment.model.apply(state.params, *inputs)
+        if stage.exploration is not None:
+            distribution = explore(output.distribution, metrics["train/exploration"])
+            output = replace(output, distribution=distribution)
+        return output, memory
 
     teacher_forcing = value_at(
         0.0 if stage.teacher_forcing is None else stage.teacher_forcing, progress.stage_steps
@@ -109,7 +119,14 @@ def _rollout_update(
         teacher_forcing=teacher_forcing,
         keep_tasks=pomdp.sampler.learns,
     )
-    learnt, trajectory, metrics = _add_rewards(stage, state.learnt, trajectory, progress, axis_name)
+    learnt, trajectory, own = _add_rewards(stage, state.learnt, trajectory, progress, axis_name)
+    metrics |= own
+    storages = {
+        name: stage.storages[name].add(held, trajectory, state.lanes.memory)
+        if name in stage.storages
+        else held
+        for name, held in state.storages.items()
+    }
     batch = make_batch(
         trajectory,
         next_values(policy, trajectory),
@@ -118,7 +135,10 @@ def _rollout_update(
         settings,
         axis_name,
     )
-    learnt, keys, losses = _learn_from_rollout(gradient_step, settings, learnt, batch)
+    keys = lanes.key
+    losses: Metrics = {}
+    if stage.losses:
+        learnt, keys, losses = _learn_from_rollout(gradient_step, settings, learnt, batch)
 
     sampler = state.sampler
     if pomdp.sampler.learns:
@@ -135,8 +155,8 @@ def _rollout_update(
         "train/forced": _global_mean(trajectory.forced.astype(jnp.float32), axis_name),
         **metrics,
     }
-    lanes = replace(lanes, key=keys)
-    return replace(state.with_learnt(learnt), lanes=lanes, sampler=sampler), metrics, episodes
+    state = replace(state.with_learnt(learnt), storages=storages, sampler=sampler)
+    return replace(state, lanes=replace(lanes, key=keys)), metrics, episodes
 
 
 def _anchored(stage: Stage, state: TrainState, begins: jax.Array) -> dict[str, dict[str, PyTree]]:
@@ -235,7 +255,7 @@ def _learn_from_rollout(
     def minibatch_step(learnt: Learnt, minibatch: tuple[Any, Any]) -> tuple[Learnt, jax.Array]:
         nonlocal names
         chosen, draws = minibatch
-        learnt, metrics, _ = gradient_step(learnt, _take_lanes(batch, chosen, draws))
+        learnt, metrics, *_ = gradient_step(learnt, _take_lanes(batch, chosen, draws))
         names = tuple(metrics)
         return learnt, stack_metrics(metrics)
 
@@ -260,16 +280,24 @@ def _learn_from_storage(
     data: PyTree,
     axis_name: str | None,
 ) -> tuple[Learnt, PyTree, Metrics]:
-    """Gradient steps on a storage's batches; returns what is learnt, its state, mean metrics."""
+    """Gradient steps on a storage's batches; returns what is learnt, its state, mean metrics.
+
+    Until the storage is ready, nothing is learnt and all metrics are zero.
+    """
     names: tuple[str, ...] = ()
+    ready = storage.ready(held, axis_name)
 
     def step(carry: tuple[Learnt, PyTree], _: None) -> tuple[tuple[Learnt, PyTree], jax.Array]:
         nonlocal names
         learnt, held = carry
         held, batch = storage.batch(held, data, axis_name)
-        learnt, metrics, memory = gradient_step(learnt, batch)
+        after, metrics, memory, priority = gradient_step(learnt, batch)
         names = tuple(metrics)
-        return (learnt, storage.carry_on(held, memory)), stack_metrics(metrics)
+        held = storage.carry_on(held, memory)
+        if priority is not None:
+            held = storage.reprioritize(held, priority)
+        learnt = jax.tree.map(lambda new, old: jnp.where(ready, new, old), after, learnt)
+        return (learnt, held), jnp.where(ready, stack_metrics(metrics), 0.0)
 
     (learnt, held), values = jax.lax.scan(step, (learnt, held), None, storage.updates)
     return learnt, held, dict(zip(names, jnp.mean(values, axis=0), strict=True))

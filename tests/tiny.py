@@ -1,15 +1,13 @@
 """Small experiments in the corridor, for the tests of training, and the programs they share.
 
-Compiling takes nearly all of these tests' time, so programs are kept in JAX's compilation cache
-for as long as the tests run, and experiments differ in numbers rather than in structure.
+Compiling takes nearly all of these tests' time, so experiments differ in numbers rather than in
+structure.
 """
 
 from __future__ import annotations
 
-import atexit
 import dataclasses
-import shutil
-import tempfile
+import functools
 from typing import Any
 
 import jax
@@ -20,6 +18,7 @@ from jaxact import Experiment, Stage, TrainingPipeline
 from jaxact.losses import PPO, Imitation
 from jaxact.models import GRU, ActorCritic, Concatenated, Vector
 from jaxact.pomdp import POMDP, Task
+from jaxact.program import Program, choose_devices
 from jaxact.samplers import LadderSampler, PrioritizedLevelReplay
 from jaxact.schedules import Linear
 from tests.corridor import RandomStart, ReachEnd, corridor
@@ -46,28 +45,18 @@ class Undemonstrated(Task):
     step = ReachEnd.step
 
 
-def use_compilation_cache() -> None:
-    """Keeps programs between tests and in the processes they start, unless JAX already does."""
-    if jax.config.jax_compilation_cache_dir is None:
-        directory = tempfile.mkdtemp(prefix="jaxact-tests-")
-        atexit.register(shutil.rmtree, directory, ignore_errors=True)
-        jax.config.update("jax_compilation_cache_dir", directory)
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
-
-
-def cache_environment() -> dict[str, str]:
-    """Environment variables with which another process shares the programs."""
-    return {
-        "JAX_COMPILATION_CACHE_DIR": str(jax.config.jax_compilation_cache_dir),
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
-        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "0",
-    }
-
-
 def experiment(pomdp: POMDP | None = None, name: str = "corridor", **settings: Any) -> Experiment:
-    """Four updates of DAgger, then four of PPO."""
-    pomdp = pomdp or corridor()
+    """Four updates of DAgger, then four of PPO; without arguments, always the same object."""
+    plain = pomdp is None and name == "corridor" and not settings
+    return _plain() if plain else _experiment(pomdp or corridor(), name, settings)
+
+
+@functools.cache
+def _plain() -> Experiment:
+    return _experiment(corridor(), "corridor", {})
+
+
+def _experiment(pomdp: POMDP, name: str, settings: dict[str, Any]) -> Experiment:
     stages = (
         Stage(
             losses={"imitation": Imitation()},
@@ -87,6 +76,24 @@ def experiment(pomdp: POMDP | None = None, name: str = "corridor", **settings: A
         "learning_rate": Linear(1e-2, 0.0, 8.0 * UPDATE),
     }
     return Experiment(name, pomdp, model, TrainingPipeline(**defaults | settings))
+
+
+class SharedProgram(Program):
+    """Keeps its compiled stages for the next training."""
+
+    __eq__, __hash__ = object.__eq__, object.__hash__
+    compile_stage = functools.cache(Program.compile_stage)
+
+
+@functools.cache
+def _plain_program() -> SharedProgram:
+    return SharedProgram(_plain(), choose_devices(1))
+
+
+def program_of(experiment: Experiment, devices: tuple[Any, ...]) -> Program:
+    """In the place of `Program`: trainings of `experiment()` share what they trace and compile."""
+    shared = experiment == _plain() and devices == choose_devices(1)
+    return _plain_program() if shared else Program(experiment, devices)
 
 
 def curriculum() -> POMDP:
@@ -114,6 +121,3 @@ def assert_same(one: Any, other: Any) -> None:
         a, b = raw(a), raw(b)
         assert (a.shape, a.dtype) == (b.shape, b.dtype), jax.tree_util.keystr(path)
         assert a.tobytes() == b.tobytes(), f"{jax.tree_util.keystr(path)} differs"
-
-
-use_compilation_cache()

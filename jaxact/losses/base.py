@@ -13,6 +13,12 @@ from jaxact.errors import JaxactError
 from jaxact.models.output import ActorCriticOutput
 from jaxact.pomdp import ExpertAction, PyTree
 
+# Of the named numbers that a loss returns, the one that is not logged: float32 [B], how much there
+# is to learn from each sequence, for the storage that it came from.
+PRIORITY = "priority"
+# The collection of a loss's variables that holds parameters of the model, to compare with.
+TARGET_MODEL = "target_model"
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -30,17 +36,31 @@ class Progress:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
+class BurnIn:
+    """Steps that nothing is learnt from but what the model remembers of them, [T, B, ...].
+
+    Attributes:
+      observation, previous_action, is_first: as in `Batch`.
+    """
+
+    observation: dict[str, jax.Array]
+    previous_action: Any
+    is_first: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class Batch:
     """Whole sequences of some lanes; every array is time-major [T, B, ...].
 
     What only the policy that acted could tell (log_prob, value, and advantage and returns, which
-    are made from it) is NaN in batches that come from a storage.
+    are made from it) is NaN in batches that come from a storage which does not keep it.
 
     Attributes:
       observation: named sensor readings that the actions answered to.
       previous_action: the action before each.
       is_first: bool, true at the first step of an episode.
-      memory: the model's memory before the first step, [B, ...].
+      memory: the model's memory before the first step (of `burn_in`, where there is one), [B, ...].
       action: what was done.
       log_prob: float32, its log-probability when it was done.
       value: float32, the value then estimated.
@@ -55,6 +75,8 @@ class Batch:
       expert: the expert's advice, None where no loss of the stage asks for it.
       key: PRNG key of each lane, [B], another one in each epoch.
       axis_name: name of the device axis that `mean` averages over, None on a single device.
+      burn_in: the steps before the first, None if the memory is that of the first.
+      weight: float32 [B], what each sequence counts in `mean`; None if they all count one.
     """
 
     observation: dict[str, jax.Array]
@@ -74,6 +96,8 @@ class Batch:
     expert: ExpertAction | None
     key: jax.Array
     axis_name: str | None = field(metadata={"static": True})
+    burn_in: BurnIn | None = None
+    weight: jax.Array | None = None
 
     @property
     def advice(self) -> ExpertAction:
@@ -106,8 +130,10 @@ class Batch:
         """Returns this device's share of the mean of `values` [T, B] over the global batch.
 
         Averaged over devices, the shares are the mean over all entries (those where `where` holds;
-        zero when there are none), whichever device holds them.
+        zero when there are none), each times its sequence's `weight`, whichever device holds them.
         """
+        if self.weight is not None:
+            values = values * self.weight
         if where is None:
             return jnp.mean(values)
         held = jnp.mean(where.astype(jnp.float32))
@@ -142,6 +168,8 @@ class Loss(ABC):
     ) -> dict[str, PyTree]:
         """Returns the loss's own variables, as flax does: the collection "params" is trained with
         the model, by the same optimizer; others change only where the loss itself changes them.
+        Where there is a collection `TARGET_MODEL`, of parameters of the model, the model's output
+        with them on the batch is given to the loss as `output.extras["target"]`.
 
         Losses of one name in several stages share their variables.
 
@@ -161,8 +189,23 @@ class Loss(ABC):
         """Returns the scalar to minimise and named scalars to log.
 
         `output` is that of the parameters being trained, [T, B, ...]. Means are to be taken with
-        `batch.mean`, so that the loss is that of the global batch on any number of devices.
+        `batch.mean`, so that the loss is that of the global batch on any number of devices. One
+        entry of the named may be `PRIORITY`, float32 [B].
         """
+
+
+@runtime_checkable
+class Following(Protocol):
+    """A loss with variables that follow what is trained, such as target networks."""
+
+    def follow(self, variables: dict[str, PyTree], params: PyTree) -> dict[str, PyTree]:
+        """Returns the loss's variables after a gradient step.
+
+        Args:
+          variables: of the loss; before training, as `init` returns them, to be completed.
+          params: of the model.
+        """
+        ...
 
 
 @runtime_checkable

@@ -11,10 +11,12 @@ from jaxact.models.encoders import InstructedGrid as InstructedGrid
 from jaxact.models.encoders import Vector as Vector
 from jaxact.models.encoders import WordsGRU as WordsGRU
 from jaxact.models.heads import ActorHead as ActorHead
+from jaxact.models.heads import DuelingHead as DuelingHead
 from jaxact.models.memory import GRU as GRU
 from jaxact.models.memory import LSTM as LSTM
 from jaxact.models.memory import NoMemory as NoMemory
 from jaxact.models.output import ActorCriticOutput as ActorCriticOutput
+from jaxact.models.q_network import QNetwork as QNetwork
 
 __all__ = [
     "GRU",
@@ -24,12 +26,14 @@ __all__ = [
     "ActorHead",
     "BagOfWords",
     "Concatenated",
+    "DuelingHead",
     "FiLM",
     "GridCodes",
     "Image",
     "InstructedGrid",
     "MultipleBeliefs",
     "NoMemory",
+    "QNetwork",
     "Vector",
     "WordsGRU",
 ]

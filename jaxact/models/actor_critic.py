@@ -29,6 +29,7 @@ class ActorCritic(nn.Module):
       previous_action: whether the previous action is fed back as an input.
       auxiliary_actor: whether there is a second actor head on the same features, for losses that
         compare two policies (ADVISOR); the output's extras have its "auxiliary_distribution".
+      squashed: whether actions in boxes are squashed into their bounds, see `ActorHead`.
     """
 
     action_space: Space
@@ -36,6 +37,7 @@ class ActorCritic(nn.Module):
     memory: nn.Module = GRU(128)
     previous_action: bool = False
     auxiliary_actor: bool = False
+    squashed: bool = False
 
     @nn.compact
     def __call__(
@@ -68,12 +70,12 @@ class ActorCritic(nn.Module):
         if isinstance(features, Beliefs):
             extras = {**features.named, "fusion": features.weights}
             features = features.fused
-        distribution = ActorHead(self.action_space, name="actor")(features)
+        distribution = ActorHead(self.action_space, self.squashed, name="actor")(features)
         value = nn.Dense(1, kernel_init=nn.initializers.orthogonal(1.0), name="critic")(features)
         extras |= {"embedding": embedding, "belief": features}
         if self.auxiliary_actor:
-            auxiliary = ActorHead(self.action_space, name="auxiliary_actor")(features)
-            extras["auxiliary_distribution"] = auxiliary
+            auxiliary = ActorHead(self.action_space, self.squashed, name="auxiliary_actor")
+            extras["auxiliary_distribution"] = auxiliary(features)
         return ActorCriticOutput(distribution, value[..., 0], extras), memory
 
     @nn.nowrap

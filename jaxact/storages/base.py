@@ -8,17 +8,21 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 from jaxact.errors import JaxactError, unknown
 from jaxact.frozen import FrozenMapping
 from jaxact.losses.base import Batch, Loss
 from jaxact.pomdp import POMDP, PyTree
+from jaxact.rollout import Trajectory
 from jaxact.schedules import Schedule
 
 
 @dataclass(frozen=True, kw_only=True)
 class Storage(ABC):
     """Losses of a stage that are taken on other batches than the rollout, after each rollout.
+
+    Each method sees the share of one device: its lanes, and its part of the state.
 
     A storage of one name in several stages is one storage: what it holds goes on.
 
@@ -52,6 +56,13 @@ class Storage(ABC):
             object.__setattr__(self, name, FrozenMapping(getattr(self, name)))
 
     @property
+    def acts(self) -> bool:
+        """Whether it takes rollouts in, so that there must be some; by default, whether `add` is
+        overridden.
+        """
+        return type(self).add is not Storage.add
+
+    @property
     def steps(self) -> int:
         """Steps seen in each update of the stage."""
         return self.updates * self.lanes * self.length
@@ -65,6 +76,18 @@ class Storage(ABC):
         del pomdp
         return ()
 
+    def width(self, lanes: int) -> int:
+        """Returns the size of the state's leading axis; by default the lanes of a batch.
+
+        Args:
+          lanes: worlds stepped side by side.
+
+        Raises:
+          JaxactError: the storage does not work with that many.
+        """
+        del lanes
+        return self.lanes
+
     @abstractmethod
     def init(self, pomdp: POMDP, model: Any, keys: jax.Array, data: PyTree) -> PyTree:
         """Returns the storage's first state, with a leading axis of lanes everywhere.
@@ -72,9 +95,25 @@ class Storage(ABC):
         Args:
           pomdp: the world.
           model: has `initial_memory(lanes)`.
-          keys: a PRNG key for each lane, [lanes].
+          keys: a PRNG key for each entry of the leading axis, [width].
           data: from `load`.
         """
+
+    def add(self, state: PyTree, trajectory: Trajectory, memory: PyTree) -> PyTree:
+        """Takes in what was done in a rollout; returns the state with it, by default unchanged.
+
+        Args:
+          state: of the storage.
+          trajectory: of the rollout, [T, B, ...].
+          memory: the model's before the rollout, [B, ...].
+        """
+        del trajectory, memory
+        return state
+
+    def ready(self, state: PyTree, axis_name: str | None) -> jax.Array:
+        """Returns a bool scalar: whether there is enough to learn from; by default always."""
+        del state, axis_name
+        return jnp.bool_(True)
 
     @abstractmethod
     def batch(self, state: PyTree, data: PyTree, axis_name: str | None) -> tuple[PyTree, Batch]:
@@ -83,3 +122,10 @@ class Storage(ABC):
     @abstractmethod
     def carry_on(self, state: PyTree, memory: PyTree) -> PyTree:
         """Takes the model's memory [lanes, ...] after the batch; returns the state with it."""
+
+    def reprioritize(self, state: PyTree, priority: jax.Array) -> PyTree:
+        """Takes how much there is to learn from the sequences of the last batch, as the losses
+        tell, float32 [lanes]; returns the state with it, by default unchanged.
+        """
+        del priority
+        return state

@@ -7,16 +7,14 @@ import sys
 import pytest
 
 from benchmarks.env_lines import by_world, ratios, read, summaries
-
-
-def _run(*arguments):
-    command = [sys.executable, "-m", "benchmarks.env_throughput", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+from benchmarks.env_throughput import main
 
 
 def test_prints_the_machine_and_a_line_for_each_world():
     small = ["--lanes", "8", "--steps", "4", "--repeats", "2", "--devices", "1", "--no-variants"]
-    done = _run("--ids", "MiniGrid-Empty-5x5-v0", *small)
+    command = [sys.executable, "-m", "benchmarks.env_throughput", *small]
+    command += ["--ids", "MiniGrid-Empty-5x5-v0"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     machine, line = map(json.loads, done.stdout.splitlines())
     assert machine["system"] == "machine"
@@ -39,11 +37,15 @@ def test_prints_the_machine_and_a_line_for_each_world():
         (["--repeats", "0"], "--repeats must be at least 1; got 0"),
     ],
 )
-def test_bad_input_is_explained_in_a_sentence(arguments, sentence):
-    done = _run(*arguments)
-    assert done.returncode == 2
-    assert sentence in done.stderr
-    assert "Traceback" not in done.stderr
+def test_bad_input_is_explained_in_a_sentence(arguments, sentence, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["env_throughput", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert sentence in printed.err
+    assert printed.err.count("\n") == 1
 
 
 def line(system, rate=None, name="w", **facts):

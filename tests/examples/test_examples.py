@@ -5,19 +5,37 @@ import dataclasses
 import numpy as np
 import pytest
 
+from examples import advisor
 from jaxact import train
+from jaxact.collect import collect
 from jaxact.loading import load_experiment, shipped_examples
+from jaxact.overrides import numbers
+from jaxact.storages import DemonstrationStorage, Replay
 
 NAMES = shipped_examples()
 QUICK = "babyai_gotolocal_ppo"
 
 
 def shrunk(experiment):
-    """The same with one update of a few steps in each stage."""
+    """The same with one update of a few steps in each stage, enough for any replay to begin."""
     pipeline = experiment.pipeline
     stages = tuple(
         dataclasses.replace(
-            stage, steps=1, overrides={**stage.overrides, "rollout_length": 2, "epochs": 1}
+            stage,
+            steps=1,
+            storages={
+                name: dataclasses.replace(storage, start_after=0)
+                if isinstance(storage, Replay)
+                else storage
+                for name, storage in stage.storages.items()
+            },
+            overrides={
+                **stage.overrides,
+                "rollout_length": max(
+                    2, *(getattr(x, "window", 0) for x in stage.storages.values()), 0
+                ),
+                "epochs": 1,
+            },
         )
         for stage in pipeline.stages
     )
@@ -29,15 +47,30 @@ def shrunk(experiment):
 def test_examples_can_work(name):
     experiment, _ = load_experiment(name)
     experiment.check()
-    assert experiment.name == name
+    assert experiment.name.startswith(name)
+
+
+def test_all_of_advisors_experiments_can_work():
+    for name, experiment in advisor.experiments.items():
+        experiment.check()
+        assert experiment.name == f"advisor_{name}"
+        paths = advisor.search_space(name)
+        drawn = [x for key in paths for x in (key if isinstance(key, tuple) else (key,))]
+        assert set(drawn) <= numbers(experiment).keys()
 
 
 @pytest.mark.parametrize(
     "name", [x if x == QUICK else pytest.param(x, marks=pytest.mark.slow) for x in NAMES]
 )
-def test_examples_train(name):
+def test_examples_train(name, tmp_path, monkeypatch):
     experiment = shrunk(load_experiment(name)[0])
+    monkeypatch.chdir(tmp_path)
+    for storage in experiment.pipeline.storages.values():
+        if isinstance(storage, DemonstrationStorage):
+            collect(experiment.pomdp, storage.path, 50, world=name, progress=False)
     result = train(experiment, evaluation_episodes=0, progress=False)
     assert result.metrics["stage"].tolist() == list(range(len(experiment.pipeline.stages)))
-    assert np.isfinite(result.metrics["losses/total"]).all()
+    totals = [x for name, x in result.metrics.items() if name.endswith("/total")]
+    assert totals
+    assert np.isfinite(totals).all()
     assert (result.metrics["train/gradient_norm"] > 0).all()

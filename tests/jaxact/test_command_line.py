@@ -1,11 +1,10 @@
-"""`python -m jaxact.train` and `.evaluate`, as a person uses them.
+"""`python -m jaxact.train`, `.evaluate` and `.collect`, as a person uses them.
 
 They run in this process, so that programs are shared; two start one of their own.
 """
 
 import dataclasses
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -15,11 +14,12 @@ import pytest
 
 from jaxact import command_line
 from jaxact.checkpoints import Checkpoints
+from jaxact.demonstrations import Demonstrations
 from jaxact.options import Options
 from jaxact.program import Program, choose_devices
 from jaxact.runs import create_run
 from jaxact.train_state import make_key
-from tests.tiny import UPDATE, cache_environment
+from tests.tiny import UPDATE
 
 FILE = "from tests.tiny import experiment as make\n\nexperiment = make()\n"
 QUICK = ("--no-progress", "--log-every", "128", "--evaluation-episodes", "40")
@@ -247,12 +247,46 @@ def test_filming_an_episode(call, tmp_path):
         assert picture.n_frames >= 1
 
 
-@pytest.mark.parametrize("program", ["train", "evaluate"])
+def test_recording_the_policy_of_a_run(call, trained, tmp_path):
+    command = (trained, "--checkpoint", "384", "--episodes", "40", "--output", tmp_path / "set")
+    code, printed, errors = call("collect", *command, "--no-progress")
+    assert (code, errors) == (0, "")
+    assert printed.startswith(f"{tmp_path / 'set'}: 40 of 40 episodes played, ")
+    actor = Demonstrations(tmp_path / "set").description.actor
+    assert actor["run"] == f"corridor/{trained.name}"
+    assert (actor["kind"], actor["checkpoint"], actor["greedy"]) == ("policy", 384, False)
+    assert call("collect", *command)[0] == 0
+    code, _, errors = call("collect", *command, "--seed", "1")
+    assert code == 2
+    assert errors.startswith("jaxact.collect: ")
+    assert "its seed is 0, but 1 was asked for" in errors
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--checkpoint", "best", "--expert"), "--expert and --checkpoint exclude each other"),
+        (("--greedy",), "--greedy is for the policy of a --checkpoint"),
+        (("--checkpoint", "all"), "one checkpoint at a time: newest, best or a step"),
+        (("--checkpoint", "385"), "choose newest, best, all or one of 128, 256, 384, 512"),
+    ],
+)
+def test_recording_what_cannot_be(call, trained, arguments, message, tmp_path):
+    directory = tmp_path / "set"
+    code, printed, errors = call(
+        "collect", trained, "--episodes", "9", "--output", directory, *arguments
+    )
+    assert (code, printed) == (2, "")
+    assert message in errors
+    assert not directory.exists()
+
+
+@pytest.mark.parametrize("program", ["train", "evaluate", "collect"])
 def test_help_lists_every_flag(call, program):
     code, printed, _ = call(program, "--help")
     assert code == 0
-    arguments = {"train": command_line.TrainArguments, "evaluate": command_line.EvaluateArguments}
-    names = {f.name for f in dataclasses.fields(arguments[program])} - {"experiment", "run"}
+    arguments = getattr(command_line, f"{program.capitalize()}Arguments")
+    names = {f.name for f in dataclasses.fields(arguments)} - {"experiment", "run", "name"}
     for name in names:
         assert f"--{name.replace('_', '-')}" in printed
     assert f"usage: python -m jaxact.{program}" in printed
@@ -266,7 +300,6 @@ def test_every_option_of_python_is_one_of_the_command_line():
 def start(*arguments):
     return subprocess.run(
         [sys.executable, "-m", *arguments],
-        env=os.environ | cache_environment(),
         capture_output=True,
         text=True,
         check=False,

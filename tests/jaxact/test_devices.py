@@ -15,7 +15,6 @@ import pytest
 
 from jaxact.checkpoints import Checkpoints
 from jaxact.logs import read_metrics
-from tests.tiny import cache_environment
 
 SCRIPT = """
     import json, sys
@@ -28,9 +27,15 @@ SCRIPT = """
     from jaxact.train_state import make_key
     from tests.tiny import curriculum, experiment, raw
 
-    counts, pomdp = json.loads(sys.argv[1]), curriculum() if sys.argv[2] == "curriculum" else None
-    stage = Stage({"ppo": PPO(), "imitation": Imitation()}, steps=256, teacher_forcing=0.5)
-    small = experiment(pomdp, stages=(stage,), learning_rate=1e-2)
+    counts, kind = json.loads(sys.argv[1]), sys.argv[2]
+    if kind == "replay":
+        from tests.jaxact.test_value_training import r2d2
+
+        small = r2d2(start_after=64)
+    else:
+        stage = Stage({"ppo": PPO(), "imitation": Imitation()}, steps=256, teacher_forcing=0.5)
+        pomdp = curriculum() if kind == "curriculum" else None
+        small = experiment(pomdp, stages=(stage,), learning_rate=1e-2)
     program = {n: Program(small, choose_devices(n)) for n in counts}
     advance = {n: program[n].stage(0, 1) for n in counts}
 
@@ -97,12 +102,12 @@ ROOT = Path(__file__).parents[2]
 
 def environment(devices):
     names = {"JAX_NUM_CPU_DEVICES": str(devices), "PYTHONPATH": str(ROOT)}
-    return os.environ | cache_environment() | names
+    return os.environ | names
 
 
-def run(counts, sampler, directory):
+def run(counts, kind, directory):
     return subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(SCRIPT), json.dumps(counts), sampler],
+        [sys.executable, "-c", textwrap.dedent(SCRIPT), json.dumps(counts), kind],
         env=environment(4),
         cwd=directory,
         capture_output=True,
@@ -112,19 +117,21 @@ def run(counts, sampler, directory):
 
 
 @pytest.mark.parametrize(
-    ("counts", "sampler"),
+    ("counts", "kind"),
     [
         ([1, 4], "plain"),
+        pytest.param([1, 4], "replay", marks=pytest.mark.slow),
         pytest.param([1, 2, 4], "plain", marks=pytest.mark.slow),
         pytest.param([1, 2, 4], "curriculum", marks=pytest.mark.slow),
     ],
 )
-def test_any_number_of_devices_learns_the_same(counts, sampler, tmp_path):
+def test_any_number_of_devices_learns_the_same(counts, kind, tmp_path):
     """First the very same steps, then the same but for rounding; checkpoints move between them.
 
-    A curriculum draws the same episodes, too, and learns the same from them.
+    A curriculum draws the same episodes, too, and learns the same from them; a replay holds and
+    draws the same sequences.
     """
-    ended = run(counts, sampler, tmp_path)
+    ended = run(counts, kind, tmp_path)
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.strip() == "done"
 

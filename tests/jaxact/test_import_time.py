@@ -30,6 +30,10 @@ def start():
 
 
 def test_import_is_quick_and_light():
-    starts = [start() for _ in range(3)]
-    assert starts[0][1].isdisjoint(HEAVY)
-    assert min(seconds for seconds, _ in starts) < SECONDS
+    seconds, modules = start()
+    assert modules.isdisjoint(HEAVY)
+    # The fastest of three counts, but what was quick enough need not be repeated.
+    for _ in range(2):
+        if seconds >= SECONDS:
+            seconds, _ = start()
+    assert seconds < SECONDS

@@ -12,6 +12,7 @@ from helper import NAME
 from tests.tiny import experiment as make
 
 experiment = make(name=NAME)
+experiments = {"other": make(name="the other")}
 """
 
 
@@ -30,6 +31,14 @@ def test_a_file_may_import_its_neighbours(folder):
     assert experiment.name == "from the helper"
     assert source == folder / "mine.py"
     assert sys.path == path
+
+
+def test_one_of_several(folder):
+    experiment, source = load_experiment(f"{folder / 'mine.py'}:other")
+    assert experiment.name == "the other"
+    assert source == folder / "mine.py"
+    with pytest.raises(JaxactError, match=r"unknown entry of .* 'othr'; the nearest is 'other'"):
+        load_experiment(f"{folder / 'mine.py'}:othr")
 
 
 def test_a_dotted_name(folder, monkeypatch):

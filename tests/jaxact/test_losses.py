@@ -9,7 +9,16 @@ import pytest
 
 from jaxact.distributions import Categorical
 from jaxact.errors import JaxactError
-from jaxact.losses import A2C, PPO, Batch, Imitation, Progress
+from jaxact.losses import (
+    A2C,
+    PPO,
+    Advisor,
+    AdvisorImitation,
+    Batch,
+    GroupedImitation,
+    Imitation,
+    Progress,
+)
 from jaxact.models import ActorCriticOutput
 from jaxact.pomdp import ExpertAction
 from jaxact.schedules import Linear
@@ -27,6 +36,7 @@ def draw(seed=0):
     }
     return normal | {
         "logits": rng.normal(size=(T, B, N)),
+        "auxiliary": rng.normal(size=(T, B, N)),
         "action": rng.integers(0, N, (T, B)),
         "log_prob": np.log(rng.uniform(0.1, 0.6, (T, B))),
         "expert": rng.integers(0, N, (T, B)),
@@ -60,10 +70,14 @@ def batch_of(x, valid=None):
 
 
 def loss_of(loss, batch):
-    """The loss as a function of logits and values."""
+    """The loss as a function of logits and values, and of the auxiliary actor's logits."""
 
-    def value(logits, values):
-        return loss(ActorCriticOutput(Categorical(logits), values), batch, PROGRESS)
+    def value(logits, values, auxiliary=None):
+        auxiliary = (
+            jnp.asarray(draw()["auxiliary"], jnp.float32) if auxiliary is None else auxiliary
+        )
+        extras = {"auxiliary_distribution": Categorical(auxiliary)}
+        return loss(ActorCriticOutput(Categorical(logits), values, extras), batch, PROGRESS)
 
     return value
 
@@ -103,6 +117,37 @@ def numpy_imitation(x):
     return -log_prob[x["valid"]].sum() / x["valid"].sum()
 
 
+def numpy_grouped(x, groups=((0, 2),)):
+    log_probs = log_softmax(x["logits"])
+    of = {a: next((g for g in groups if a in g), (a,)) for a in range(N)}
+    steps = [
+        -np.log(sum(np.exp(log_probs[t, b, a]) for a in of[x["expert"][t, b]]))
+        for t, b in zip(*np.nonzero(x["valid"]), strict=True)
+    ]
+    return np.mean(steps)
+
+
+def advisor_weight(x, alpha, bound=0.0):
+    log_prob, _ = log_prob_and_entropy(x["auxiliary"], x["expert"])
+    return np.exp(alpha * log_prob) * x["valid"] * (np.exp(log_prob) >= bound)
+
+
+def numpy_advisor_imitation(x, alpha=0.0, bound=0.0):
+    auxiliary, _ = log_prob_and_entropy(x["auxiliary"], x["expert"])
+    main, _ = log_prob_and_entropy(x["logits"], x["expert"])
+    weight = advisor_weight(x, alpha, bound)
+    return -auxiliary[x["valid"]].mean() - (weight * main).mean()
+
+
+def numpy_advisor(x, alpha=8.0, bound=0.0, entropy=0.01):
+    """With A2C on raw advantages."""
+    log_prob, h = log_prob_and_entropy(x["logits"], x["action"])
+    rest = 1 - advisor_weight(x, alpha, bound)
+    policy = (rest * (-x["advantage"] * log_prob - entropy * h)).mean()
+    value = 0.5 * 0.5 * ((x["new_value"] - x["returns"]) ** 2).mean()
+    return numpy_advisor_imitation(x, alpha, bound) + policy + value
+
+
 def finite_differences(function, x, name, size=1e-5):
     gradient = np.zeros_like(x[name])
     for index in np.ndindex(*gradient.shape):
@@ -130,6 +175,17 @@ CASES = {
     "a2c": (A2C(), numpy_a2c),
     "a2c, normalised": (A2C(normalize_advantage=True), lambda x: numpy_a2c(x, normalize=True)),
     "imitation": (Imitation(), numpy_imitation),
+    "groups": (GroupedImitation(((0, 2),)), numpy_grouped),
+    "advisor": (Advisor(reinforcement=A2C()), numpy_advisor),
+    "advisor, other alpha": (
+        Advisor(reinforcement=A2C(), alpha=Linear(4.0, 0.0, 100.0), bound=0.2),
+        lambda x: numpy_advisor(x, alpha=2.0, bound=0.2),
+    ),
+    "advisor, imitation": (AdvisorImitation(), numpy_advisor_imitation),
+    "advisor, demonstrations": (
+        AdvisorImitation(alpha=8.0),
+        lambda x: numpy_advisor_imitation(x, alpha=8.0),
+    ),
 }
 
 
@@ -209,6 +265,60 @@ def test_without_any_advice_imitation_is_zero_with_zero_gradient():
     assert float(value) == 0.0
     assert np.all(np.asarray(gradient) == 0.0)
     assert all(np.isfinite(float(m)) for m in metrics.values())
+
+
+def test_advisor_without_advice_is_reinforcement_and_with_alpha_zero_imitation_alone():
+    x = draw()
+    x["valid"] = np.zeros((T, B), bool)
+    arguments = [jnp.asarray(x[name], jnp.float32) for name in ("logits", "new_value")]
+    advisor, metrics = loss_of(Advisor(reinforcement=A2C()), batch_of(x))(*arguments)
+    assert float(advisor) == pytest.approx(float(loss_of(A2C(), batch_of(x))(*arguments)[0]))
+    assert float(metrics["weight"]) == 0.0
+    x["valid"] = np.ones((T, B), bool)
+    everywhere = Advisor(reinforcement=A2C(value=0.0), alpha=0.0)
+    gradient = jax.grad(lambda logits: loss_of(everywhere, batch_of(x))(logits, arguments[1])[0])
+    plain = jax.grad(lambda logits: loss_of(Imitation(), batch_of(x))(logits, arguments[1])[0])
+    np.testing.assert_allclose(gradient(arguments[0]), plain(arguments[0]), atol=1e-6)
+
+
+def test_advisors_auxiliary_actor_learns_from_imitation_alone():
+    """The weight is a constant to the gradient."""
+    x = draw()
+    logits, values, auxiliary = (
+        jnp.asarray(x[name], jnp.float32) for name in ("logits", "new_value", "auxiliary")
+    )
+    advisor = loss_of(Advisor(), batch_of(x))
+    plain = loss_of(Imitation(), batch_of(x))
+    gradient = jax.grad(lambda auxiliary: advisor(logits, values, auxiliary)[0])(auxiliary)
+    expected = jax.grad(lambda logits: plain(logits, values)[0])(auxiliary)
+    np.testing.assert_allclose(gradient, expected, atol=1e-6)
+
+
+def test_advisor_needs_an_auxiliary_actor():
+    output = ActorCriticOutput(Categorical(jnp.zeros((T, B, N))), jnp.zeros((T, B)))
+    with pytest.raises(JaxactError, match="auxiliary_actor=True"):
+        Advisor()(output, batch_of(draw()), PROGRESS)
+
+
+def test_experts_policies_are_imitated_whole():
+    """The cross-entropy with a policy is that with its actions, averaged; minimal at the policy."""
+    x = draw()
+    policy = np.exp(log_softmax(np.random.default_rng(1).normal(size=(T, B, N))))
+    batch = batch_of(x)
+    soft = dataclasses.replace(batch.expert, policy=jnp.asarray(policy, jnp.float32))
+    loss = loss_of(Imitation(), dataclasses.replace(batch, expert=soft))
+    values = jnp.zeros((T, B), jnp.float32)
+    value, _ = loss(jnp.asarray(x["logits"], jnp.float32), values)
+    expected = -(policy * log_softmax(x["logits"])).sum(-1)[x["valid"]].mean()
+    assert float(value) == pytest.approx(expected, rel=1e-5)
+    gradient = jax.grad(lambda logits: loss(logits, values)[0])
+    np.testing.assert_allclose(gradient(jnp.asarray(np.log(policy), jnp.float32)), 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("groups", [((0, 1), (1, 2)), ((-1, 0),), ((0, N),)])
+def test_groups_that_are_no_groups_of_actions(groups):
+    with pytest.raises(JaxactError, match=r"disjoint|so none is"):
+        loss_of(GroupedImitation(groups), batch_of(draw()))(jnp.zeros((T, B, N)), jnp.zeros((T, B)))
 
 
 def test_imitation_needs_an_expert():

@@ -14,7 +14,7 @@ from jaxact import JaxactError, override, train
 from jaxact.checkpoints import Checkpoints
 from jaxact.program import Program, choose_devices
 from jaxact.train import Run
-from tests.tiny import OPTIONS, UPDATE, assert_same, cache_environment, curriculum, experiment
+from tests.tiny import OPTIONS, UPDATE, assert_same, curriculum, experiment
 
 
 @pytest.fixture(scope="module")
@@ -142,7 +142,6 @@ def start(tmp_path):
         script = [sys.executable, "-c", textwrap.dedent(SCRIPT), str(seconds), str(int(number))]
         return subprocess.run(
             [*script, *options],
-            env=os.environ | cache_environment(),
             capture_output=True,
             text=True,
             check=False,

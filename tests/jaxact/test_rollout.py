@@ -9,7 +9,7 @@ import pytest
 
 from jaxact.distributions import Categorical
 from jaxact.models.output import ActorCriticOutput
-from jaxact.rollout import next_values, refill, rollout, start_lanes
+from jaxact.rollout import next_values, refill, rollout, start_lanes, turn_over
 from tests.corridor import RandomStart, corridor
 
 LANES, LENGTH = 8, 50
@@ -113,6 +113,28 @@ def test_a_batch_of_runs_is_each_run_by_itself():
     together = jax.jit(jax.vmap(play))(keys)
     alone = jax.jit(play)(keys[1])
     jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[1], b), together, alone)
+
+
+def test_runs_side_by_side_refill_their_queues_together():
+    """When one is dry; what is sampled for the other then is kept."""
+    pomdp = corridor()
+    lanes = start_lanes(pomdp, (), Scripted, jax.random.split(jax.random.key(0), 2), 4)
+    queue = dataclasses.replace(refill(pomdp, (), lanes.queue), served=jnp.array([3, 2]))
+    finished = jnp.array([[True, False], [False, False]])
+
+    @jax.jit
+    @jax.vmap
+    def turn(served, finished):
+        one = dataclasses.replace(queue, served=served)
+        return turn_over(pomdp, (), one, finished, lanes.state, lanes.observation)[0]
+
+    none_dry = turn(jnp.array([[3, 2], [3, 2]]), finished)
+    np.testing.assert_array_equal(none_dry.drawn, [[4, 4], [4, 4]])
+    one_dry = turn(jnp.array([[4, 2], [3, 2]]), finished)
+    np.testing.assert_array_equal(one_dry.drawn, [[8, 6], [7, 6]])
+    np.testing.assert_array_equal(one_dry.served, [[5, 2], [3, 2]])
+    expected = refill(pomdp, (), queue).episodes
+    jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[1], b), one_dry.episodes, expected)
 
 
 def test_levels_may_have_leaves_without_elements():

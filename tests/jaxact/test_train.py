@@ -21,7 +21,9 @@ def trained(tmp_path_factory):
     return train(experiment(), seed=1, output=tmp_path_factory.mktemp("runs"), **OPTIONS)
 
 
-def test_the_same_seed_gives_the_same_run_bit_for_bit(trained, tmp_path):
+def test_the_same_seed_gives_the_same_run_bit_for_bit(trained, tmp_path, monkeypatch):
+    """Also from a program of its own, traced anew."""
+    monkeypatch.setattr("jaxact.train.Program", Program)
     again = train(experiment(), seed=1, output=tmp_path, **OPTIONS)
     assert_same(again.state, trained.state)
     assert_same(again.metrics, trained.metrics)
@@ -178,6 +180,7 @@ def test_bad_options_are_told_before_anything_compiles(option, message, tmp_path
     def compiled(*_):
         raise AssertionError("a stage was compiled")
 
+    monkeypatch.setattr("jaxact.train.Program", Program)
     monkeypatch.setattr(Program, "stage", compiled)
     with pytest.raises(JaxactError, match=message):
         train(experiment(), **option)

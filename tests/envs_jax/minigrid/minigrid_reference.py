@@ -275,14 +275,13 @@ def _replay(pomdp: POMDP, states: State, actions: jax.Array, moves: jax.Array) -
 
 def embed(world: GridState, width: int, height: int, size: int) -> GridState:
     """Puts a W × H world into the corner of a size × size one, so that one program serves all."""
-    wall = jnp.uint8(tiles.WALL_TILE)
 
-    def enlarge(plane: jax.Array, fill: Any) -> jax.Array:
+    def enlarge(plane: Any, fill: int) -> np.ndarray:
         more = ((0, size - width), (0, size - height))
-        return jnp.pad(plane, more, constant_values=fill)
+        return np.pad(plane, more, constant_values=fill)
 
     return replace(
-        world, tiles=enlarge(world.tiles, wall), marks=enlarge(world.marks, jnp.uint16(0))
+        world, tiles=enlarge(world.tiles, tiles.WALL_TILE), marks=enlarge(world.marks, 0)
     )
 
 

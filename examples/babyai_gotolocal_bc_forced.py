@@ -1,0 +1,26 @@
+"""BabyAI-GoToLocal with behaviour cloning on the expert's states (teacher forcing 1).
+
+python -m jaxact.train examples/babyai_gotolocal_bc_forced.py
+"""
+
+import envs_jax
+from jaxact import Experiment, Stage, TrainingPipeline
+from jaxact.losses import Imitation
+from jaxact.models import GRU, ActorCritic, InstructedGrid
+from jaxact.schedules import Linear
+
+pomdp = envs_jax.make("BabyAI-GoToLocal-v0")
+
+experiment = Experiment(
+    name="babyai_gotolocal_bc_forced",
+    pomdp=pomdp,
+    model=ActorCritic(pomdp.action_space, InstructedGrid(), GRU(128)),
+    pipeline=TrainingPipeline(
+        stages=(Stage({"imitation": Imitation()}, steps=1_000_000, teacher_forcing=1.0),),
+        lanes=512,
+        rollout_length=16,
+        epochs=2,
+        minibatches=4,
+        learning_rate=Linear(1e-3, 1e-4, steps=1e6),
+    ),
+)

@@ -1,0 +1,33 @@
+"""BabyAI-GoToLocal from demonstrations alone: behaviour cloning off the policy, without a world.
+
+python -m jaxact.collect BabyAI-GoToLocal-v0 --episodes 1000000 --output demonstrations/gotolocal
+python -m jaxact.train examples/babyai_gotolocal_bc_offline.py
+"""
+
+import envs_jax
+from jaxact import Experiment, Stage, TrainingPipeline
+from jaxact.losses import Imitation
+from jaxact.models import GRU, ActorCritic, InstructedGrid
+from jaxact.schedules import Linear
+from jaxact.storages import DemonstrationStorage
+
+pomdp = envs_jax.make("BabyAI-GoToLocal-v0")
+demonstrations = DemonstrationStorage(
+    losses={"imitation": Imitation()},
+    path="demonstrations/gotolocal",
+    lanes=128,
+    length=16,
+    updates=8,
+)
+
+experiment = Experiment(
+    name="babyai_gotolocal_bc_offline",
+    pomdp=pomdp,
+    model=ActorCritic(pomdp.action_space, InstructedGrid(), GRU(128)),
+    pipeline=TrainingPipeline(
+        stages=(Stage({}, steps=4_000_000, storages={"demonstrations": demonstrations}),),
+        lanes=512,
+        rollout_length=16,
+        learning_rate=Linear(1e-3, 1e-4, steps=4e6),
+    ),
+)
