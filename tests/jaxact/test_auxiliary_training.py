@@ -34,7 +34,7 @@ from jaxact.program import Program, choose_devices
 from jaxact.storages.base import Storage
 from jaxact.train_state import make_key
 from tests.corridor import corridor
-from tests.tiny import assert_same, cache_environment
+from tests.tiny import assert_same
 from tests.windows import batch_of
 
 
@@ -229,7 +229,7 @@ def test_the_same_is_learnt_on_two_devices():
     names = {"JAX_NUM_CPU_DEVICES": "2", "PYTHONPATH": root}
     ended = subprocess.run(
         [sys.executable, "-c", SCRIPT],
-        env=os.environ | cache_environment() | names,
+        env=os.environ | names,
         capture_output=True,
         text=True,
         check=False,
