@@ -31,10 +31,9 @@ class Arguments:
 
     experiment: str = "benchmarks.tiny_experiment"
     """As `python -m jaxact.train` takes it."""
-    draw: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = (
-        "pipeline.learning_rate=log_uniform(1e-4,0.5)",
-    )
-    """PATH=RANGE as `python -m jaxact.sweep` takes it."""
+    draw: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """PATH=RANGE as `python -m jaxact.sweep` takes it (default:
+    pipeline.learning_rate=log_uniform(1e-4,0.5))."""
     set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """PATH=VALUE overrides of the experiment."""
     draws: int = 50
@@ -43,7 +42,7 @@ class Arguments:
     """Draws that are measured as processes of their own."""
     evaluations: int = 4
     """Evaluations of each draw."""
-    episodes: int = 1000
+    episodes: int = 100
     """Held-out episodes of each evaluation."""
 
 
@@ -55,12 +54,13 @@ def main() -> None:
 
     arguments = tyro.cli(Arguments)
     experiment = override(load_experiment(arguments.experiment)[0], arguments.set)
-    space = SearchSpace.parse(arguments.draw)
+    texts = arguments.draw or ("pipeline.learning_rate=log_uniform(1e-4,0.5)",)
+    space = SearchSpace.parse(texts)
     space.check(experiment)
     _print_machine()
     options = [arguments.experiment, "--evaluation-episodes", str(arguments.episodes)]
     options += ["--no-progress", *_repeated("--set", arguments.set)]
-    search = [*options, *_repeated("--draw", arguments.draw), "--draws", str(arguments.draws)]
+    search = [*options, *_repeated("--draw", texts), "--draws", str(arguments.draws)]
     together = _run("jaxact.sweep", [*search, "--evaluations", str(arguments.evaluations)])
     about = {"id": arguments.experiment, "draws": arguments.draws}
     _print(about | {"system": "jaxact.sweep"} | together)

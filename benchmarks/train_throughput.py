@@ -99,14 +99,14 @@ def _measure(arguments: Arguments, devices: int) -> dict[str, Any]:
     square = jnp.full((MATMUL_SIZE, MATMUL_SIZE), 0.5, jnp.float32)
     product = jax.jit(lambda x: x @ x)
     product(square).block_until_ready()
-    state, _ = stage(state, numbers, count)
+    state, _ = stage(state, numbers, count, program.data)
     seconds, matmul_seconds = [], []
     for _ in range(arguments.repeats):
         began = time.perf_counter()
         product(square).block_until_ready()
         matmul_seconds.append(time.perf_counter() - began)
         began = time.perf_counter()
-        state, _ = jax.block_until_ready(stage(state, numbers, count))
+        state, _ = jax.block_until_ready(stage(state, numbers, count, program.data))
         seconds.append((time.perf_counter() - began) / arguments.updates)
     worlds, rollout = _rollout_seconds(experiment, state, arguments.repeats)
 

@@ -8,6 +8,7 @@ any influence on them, and is recorded as diverged.
 from __future__ import annotations
 
 import dataclasses
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -197,6 +198,8 @@ class Sweep:
                     program, first, records, options.evaluation_episodes, checkpoints, display
                 )
                 self._keep(chunk.train())
+        if self.directory is not None:
+            shutil.rmtree(self.directory / "checkpoints", ignore_errors=True)
 
     def _fresh_record(self, draw: int, seed: int) -> Record:
         numbers = self.space.draw(self.options.draw_seed, draw)

@@ -158,10 +158,9 @@ def _advise(
     must_drop = hands_full & (
         ~_any(step.cells) | (step.action == PICKUP) & _any(step.cells & world.near)
     )
-    target = jnp.where(must_drop, _drop_cells(subgoal, step.cells, world), step.cells)
-    is_final = step.action == subgoal.action
-    stands = subgoal.stands & is_final & ~must_drop
-    goals = jnp.where(stands, planner.standing(target), planner.facing(target))
+    stands = subgoal.stands & (step.action == subgoal.action)
+    goals = jnp.where(stands, planner.standing(step.cells), planner.facing(step.cells))
+    goals = jnp.where(must_drop, _drop_poses(subgoal, step.cells, world), goals)
     terrain = Terrain(
         open=world.walkable[None],
         slow=(world.closed | world.fitting)[None],
@@ -296,16 +295,28 @@ def _obstacles(step: _Step, world: _Map) -> Board:
     return jnp.where(_any(shut), shut, jnp.where(_any(past_objects), past_objects, past_locks))
 
 
-def _drop_cells(subgoal: Subgoal, cells: Board, world: _Map) -> Board:
-    """Returns the best cells there are to put down what is held."""
+def _drop_poses(subgoal: Subgoal, cells: Board, world: _Map) -> Board:
+    """Returns word[4, H], the best poses there are to put down what is held.
+
+    In a crowded room no cell may be harmless. There it is put down from where `cells`, which come
+    next, can be acted on at once, so that they at least cannot be shut off: taking out of the way
+    one thing after the other then gets the agent through, even with no more room than for itself.
+    """
     free = world.empty & world.near & ~subgoal.forbidden
     harmless = free & dispensable(world.passable | world.locks)
     off_the_way = ~(around(cells | subgoal.cells) | subgoal.reserved)
-    # In a crowded room no cell may be harmless, but before its doors is the worst place.
-    inside = free & off_the_way & ~beside(world.doors)
-    best = free
-    for choice in (inside, harmless, harmless & off_the_way):
-        best = jnp.where(_any(choice), choice, best)
+    before_next = planner.standing(beside(cells))
+    standable = planner.standing(world.near & world.passable)
+    best = planner.facing(free)
+    # The best come last; before doors is the worst place in a crowded room.
+    for choice in (
+        planner.facing(free) & before_next,
+        planner.facing(free & ~beside(world.doors)) & before_next,
+        planner.facing(harmless) & before_next,
+        planner.facing(harmless & ~around(cells)),
+        planner.facing(harmless & off_the_way),
+    ):
+        best = jnp.where(_any(choice & standable), choice, best)
     return best
 
 

@@ -123,9 +123,11 @@ def instruction_subgoal(
     is_crowded = jnp.any(places != 0) & jnp.all(edge & (empty | unseen) == 0)
     # Walls are among the things when a description names no more than their colour.
     movable = things & loose
+    # What is to be picked up, found or put something next to may be in hand.
+    in_hand = jnp.where(is_put_next, holds_place & ~holds, holds_place | holds)
     # A thing is not fetched before it is known where to.
     put_cells = jnp.select(
-        [is_crowded, has_room & holds, has_room], [edge & loose, room, movable], nothing
+        [is_crowded, has_room & holds, has_room | in_hand], [edge & loose, room, movable], nothing
     )
     # An open door counts as well, but has to be shut first.
     doors = jnp.where(jnp.any(shut != 0), shut, things)
@@ -134,8 +136,6 @@ def instruction_subgoal(
         [put_cells, doors, movable, nothing],
         believed,
     )
-    # What is to be picked up, found or put something next to may be in hand.
-    in_hand = jnp.where(is_put_next, holds_place & ~holds, holds_place | holds)
     return Subgoal.of(
         wanted,
         jnp.select(

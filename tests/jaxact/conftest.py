@@ -1,6 +1,7 @@
 """Trainings of the one small experiment share its programs, whatever the test."""
 
 from collections.abc import Iterator
+from importlib import import_module
 
 import pytest
 
@@ -10,5 +11,5 @@ from tests.tiny import program_of
 @pytest.fixture(scope="session", autouse=True)
 def shared_programs() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("jaxact.train.Program", program_of)
+        patch.setattr(import_module("jaxact.train"), "Program", program_of)
         yield

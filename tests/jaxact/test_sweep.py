@@ -133,7 +133,9 @@ def test_a_sweep_stopped_within_a_chunk_goes_on_from_its_last_evaluation(
         sweep(small(), SPACE, output=tmp_path, **SETTINGS)
     (stopped,) = (tmp_path / "corridor").iterdir()
     assert read_records(stopped) == []
+    assert (stopped / "checkpoints").is_dir()
     assert sweep(small(), SPACE, resume=stopped, progress=False).records == searched.records
+    assert not (stopped / "checkpoints").exists()
     # Eight pieces of one update: four were done, and four and the next chunk's eight were left.
     assert len(calls) == 6 + 4 + 8
 

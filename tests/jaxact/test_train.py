@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from importlib import import_module
 
 import jax
 import numpy as np
@@ -23,7 +24,7 @@ def trained(tmp_path_factory):
 
 def test_the_same_seed_gives_the_same_run_bit_for_bit(trained, tmp_path, monkeypatch):
     """Also from a program of its own, traced anew."""
-    monkeypatch.setattr("jaxact.train.Program", Program)
+    monkeypatch.setattr(import_module("jaxact.train"), "Program", Program)
     again = train(experiment(), seed=1, output=tmp_path, **OPTIONS)
     assert_same(again.state, trained.state)
     assert_same(again.metrics, trained.metrics)
@@ -180,7 +181,7 @@ def test_bad_options_are_told_before_anything_compiles(option, message, tmp_path
     def compiled(*_):
         raise AssertionError("a stage was compiled")
 
-    monkeypatch.setattr("jaxact.train.Program", Program)
+    monkeypatch.setattr(import_module("jaxact.train"), "Program", Program)
     monkeypatch.setattr(Program, "stage", compiled)
     with pytest.raises(JaxactError, match=message):
         train(experiment(), **option)

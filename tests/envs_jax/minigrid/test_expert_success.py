@@ -14,7 +14,7 @@ from relaxed_search import Level, level_of
 
 import envs_jax
 from envs_jax.minigrid import tiles
-from envs_jax.minigrid.state import PADDING
+from envs_jax.minigrid.state import PADDING, GridState
 from jaxact.pomdp import POMDP, State
 
 
@@ -59,13 +59,28 @@ def without_sensors(name: str) -> POMDP:
     return replace(envs_jax.make(name), sensors={})
 
 
+def walled_in(world: GridState) -> jax.Array:
+    """Returns the tiles with balls in all empty cells around the agent."""
+    around = jnp.indices((3, 3), jnp.int32).reshape(2, 9) - 1
+    cells = tuple(world.position[:, None] + around + PADDING)
+    found = world.tiles[cells]
+    is_free = (found == tiles.EMPTY_TILE) & jnp.any(around != 0, axis=0)
+    return world.tiles.at[cells].set(jnp.where(is_free, jnp.uint8(tiles.tile(tiles.BALL)), found))
+
+
 def test_solves_errands() -> None:
-    """A ball is taken out of the way, a key fetched, a door unlocked, a box picked up."""
+    """A ball is taken out of the way, a key fetched, a door unlocked, a box picked up. Every other
+    agent begins with no more room than for itself, which few of them may fail to get out of."""
     pomdp = without_sensors("MiniGrid-BlockedUnlockPickup-v0")
     keys, state = reset(pomdp, 32)
+    world = state.environment
+    odd = (jnp.arange(32, dtype=jnp.int32) % 2 == 1)[:, None, None]
+    walled = jnp.where(odd, jax.vmap(walled_in)(world), world.tiles)
+    state = replace(state, environment=replace(world, tiles=walled))
     with jax.numpy_dtype_promotion("strict"):
         record = follow(pomdp, keys, state)
-    assert np.all(record.won)
+    assert np.all(record.won[::2])
+    assert np.sum(record.won[1::2]) >= 15
 
 
 def things_of(pomdp: POMDP, lane: State) -> Model:
@@ -151,12 +166,12 @@ def test_abstains_only_where_nothing_helps(name: str) -> None:
         assert record.won[lane] == ~record.abstained[lane], lane
 
 
-# Shares of episodes in which the expert does not succeed. All but the last are levels that cannot
-# be solved, as in the package: the key is behind its own door, or was replaced by a ball; a strict
-# target is walled in; of two strict doors, the toggle that opens the first fails the second. In
-# `MiniBossLevel` a room can be too crowded for this expert.
+# Shares of episodes in which the expert does not succeed. All but the last two are levels that
+# cannot be solved, as in the package: the key is behind its own door, or was replaced by a ball; a
+# strict target is walled in; of two strict doors, the toggle that opens the first fails the second.
+# In the last two a room can be too crowded for this expert.
 LOST = {
-    "BabyAI-GoToImpUnlock-v0": 0.016,
+    "BabyAI-GoToImpUnlock-v0": 0.022,
     "BabyAI-OpenDoorsOrderN2Debug-v0": 2 / 3,
     "BabyAI-OpenDoorsOrderN4Debug-v0": 2 / 3,
     "BabyAI-PickupDistDebug-v0": 0.005,
@@ -164,8 +179,8 @@ LOST = {
     "MiniGrid-ObstructedMaze-1Q-v0": 0.07,
     "MiniGrid-ObstructedMaze-2Dlhb-v0": 0.07,
     "MiniGrid-ObstructedMaze-2Q-v0": 0.03,
-    "BabyAI-MiniBossLevel-v0": 0.002,
-    "BabyAI-SynthS5R2-v0": 0.016,
+    "BabyAI-MiniBossLevel-v0": 0.001,
+    "BabyAI-SynthS5R2-v0": 0.002,
 }
 EPISODES = 2000
 # In the others there is nothing to do, or the expert is meant to fail.

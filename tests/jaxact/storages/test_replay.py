@@ -130,7 +130,7 @@ def test_exactly_the_sequences_wholly_held_are_drawn(kind, stride, length, times
 def test_the_burn_in_comes_before_what_is_learnt():
     storage = replay(burn_in=2, stride=2)
     found, batch = drawn(storage, 5, 4)
-    assert sorted(set(found[:, 0])) == [8, 10, 12, 14]
+    assert sorted(set(found[:, 0])) == [10, 12, 14, 16]
     early = np.asarray(batch.burn_in.observation["vector"][..., 0])
     np.testing.assert_array_equal(early, found[-1] - np.array([[2], [1]]))
     np.testing.assert_array_equal(batch.memory, memory_before(jnp.asarray(early[0])))
