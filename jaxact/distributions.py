@@ -231,6 +231,10 @@ class SquashedNormal(Distribution):
         squashing = jnp.sum(_log_slope_of_tanh(u) * weights, axis=-1) + jnp.log(self.half)
         return jnp.sum(log_std + 0.5 * jnp.log(2 * jnp.pi * jnp.e) + squashing, axis=-1)
 
+    def kl(self, other: SquashedNormal) -> jax.Array:
+        """Returns that of the normals, which squashing into the same box leaves as it is."""
+        return DiagonalNormal(self.mean, self.log_std).kl(DiagonalNormal(other.mean, other.log_std))
+
     def _squash(self, u: jax.Array) -> jax.Array:
         return self.centre + self.half * jnp.tanh(u)
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import flax.linen as nn
 import jax
-import jax.numpy as jnp
 
-from jaxact.losses.base import Batch, Loss, Progress
+from jaxact.losses.base import TARGET_MODEL, Batch, Loss, Progress
 from jaxact.models.output import ActorCriticOutput
 from jaxact.pomdp import PyTree
 
@@ -22,35 +20,36 @@ class KLToReference(Loss):
     that of the policy, so a recurrent one from a run should be what the policy began as.
 
     Attributes:
-      model: the reference's module, with the same memory as the policy's.
-      run: directory of a run whose newest checkpoint is the reference; None for the policy itself.
+      run: directory of a run of the same model whose newest checkpoint is the reference; None for
+        the policy itself.
       forward: whether the divergence is KL(ρ ‖ π), which keeps all that ρ would do (Baker et al.
         2022, https://arxiv.org/abs/2206.11795), or KL(π ‖ ρ), which only keeps π from what ρ would
         not do (Ziegler et al. 2019, https://arxiv.org/abs/1909.08593).
     """
 
-    model: nn.Module
     run: str | None = None
     forward: bool = True
 
     def init(
         self, key: jax.Array, output: ActorCriticOutput, observation: PyTree, action: PyTree
     ) -> dict[str, PyTree]:
-        """Returns the reference's parameters; zeros where the stage's beginning sets them.
+        """Returns nothing: `follow` completes it with the reference's parameters."""
+        del key, output, observation, action
+        return {}
+
+    def follow(self, variables: dict[str, PyTree], params: PyTree) -> dict[str, PyTree]:
+        """Returns the variables as they are; before training, the reference's parameters.
 
         Raises:
           JaxactError: there is no such run, or no checkpoint of such a model in it.
         """
-        del output
-        inputs = (observation, self.model.initial_memory(1), action, jnp.ones(1, bool))
-        like = jax.eval_shape(self.model.init, key, *inputs)
-        if self.run is None:
-            return {"reference": jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), like)}
-        return {"reference": _restore(self.run, like)}
+        if TARGET_MODEL in variables:
+            return variables
+        return {TARGET_MODEL: params if self.run is None else _restore(self.run, params)}
 
     def anchor(self, variables: dict[str, PyTree], params: PyTree) -> dict[str, PyTree]:
         """Returns the policy's parameters as the reference's, unless those are a run's."""
-        return {"reference": params} if self.run is None else variables
+        return {TARGET_MODEL: params} if self.run is None else variables
 
     def __call__(  # type: ignore[override]
         self,
@@ -60,20 +59,19 @@ class KLToReference(Loss):
         variables: dict[str, PyTree],
     ) -> tuple[jax.Array, dict[str, jax.Array]]:
         """Returns the divergence, `kl`."""
-        del progress
-        inputs = (batch.observation, batch.memory, batch.previous_action, batch.is_first)
-        reference, _ = self.model.apply(variables["reference"], *inputs)
-        policy, frozen = output.distribution, jax.lax.stop_gradient(reference.distribution)
-        kl = batch.mean(frozen.kl(policy) if self.forward else policy.kl(frozen))
+        del progress, variables
+        policy, reference = output.distribution, output.extras["target"].distribution
+        kl = batch.mean(reference.kl(policy) if self.forward else policy.kl(reference))
         return kl, {"kl": kl}
 
 
-def _restore(run: str, like: PyTree) -> PyTree:
-    """Returns the parameters in a run's newest checkpoint."""
+def _restore(run: str, params: PyTree) -> PyTree:
+    """Returns the parameters in a run's newest checkpoint, of the shapes of `params`."""
     # Here rather than above: reading checkpoints takes a second to import.
     from jaxact.checkpoints import Checkpoints
     from jaxact.runs import open_run
 
+    like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), params)
     # Losses are initialised within a compiled function, into which these go as constants.
     with jax.ensure_compile_time_eval():
         return Checkpoints(open_run(run) / "checkpoints").restore_part(None, "params", like).state

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from jaxact.distributions import Categorical, DiagonalNormal, Distribution, Joint
+from jaxact.distributions import Categorical, DiagonalNormal, Distribution, Joint, SquashedNormal
 from jaxact.errors import JaxactError
 
 
@@ -80,6 +80,8 @@ def test_kl_of_normals_is_the_mean_log_ratio():
         expected += (weights * log_ratio).sum() / weights.sum()
     assert float(p.kl(q)) == pytest.approx(expected, rel=1e-5)
     assert float(p.kl(p)) == 0.0
+    squashed = [SquashedNormal(x.mean, x.log_std, jnp.float32(0), jnp.float32(2)) for x in (p, q)]
+    assert float(squashed[0].kl(squashed[1])) == pytest.approx(expected, rel=1e-5)
 
 
 def test_kl_of_joints_adds_up_and_others_say_that_they_have_none():
