@@ -162,7 +162,7 @@ class SweepProgram:
 
     @cached_property
     def _traced_start(self) -> Any:
-        start = self._over_runs(self._start, 0, self._varying, None)
+        start = self._on_devices(self._starts, 0, self._varying, None)
         return start.trace(_keys([0] * self.chunk), self._any_numbers, self._data)
 
     @cached_property
@@ -180,8 +180,16 @@ class SweepProgram:
     def _any_numbers(self) -> dict[str, np.ndarray]:
         return self.numbers([dict.fromkeys(self.paths, 0.0)] * self.chunk)
 
-    def _start(self, key: jax.Array, numbers: Numbers, data: Data) -> TrainState:
-        return train_state.start(with_numbers(self.experiment, numbers), key, data)
+    def _starts(self, keys: jax.Array, numbers: Numbers, data: Data) -> TrainState:
+        # One after the other: orthogonal initialization factorizes, and LAPACK's calls for a batch
+        # wait for threads of the pool that they run on. As many of them as it has threads, and
+        # none ever returns.
+        def start(run: tuple[jax.Array, Numbers]) -> TrainState:
+            key, drawn = run
+            configured = with_numbers(self.experiment, {**numbers, **drawn})
+            return train_state.start(configured, key, data)
+
+        return jax.lax.map(start, (keys, {path: numbers[path] for path in self.paths}))
 
     def _stage(
         self, index: int
@@ -200,13 +208,18 @@ class SweepProgram:
         self, function: Callable[..., Any], *axes: Any, donate: int | tuple[int, ...] = ()
     ) -> Any:
         """Jits a function of one run for a chunk of them, each device taking its share."""
+        return self._on_devices(jax.vmap(function, in_axes=axes), *axes, donate=donate)
+
+    def _on_devices(
+        self, batched: Callable[..., Any], *axes: Any, donate: int | tuple[int, ...] = ()
+    ) -> Any:
+        """Jits a function of a chunk of runs, each device taking its share of those on an axis."""
         mesh, runs = self._mesh, PartitionSpec(_AXIS)
         specs = jax.tree.map(
             lambda axis: PartitionSpec() if axis is None else runs,
             axes,
             is_leaf=lambda axis: axis is None,
         )
-        batched = jax.vmap(function, in_axes=axes)
         if len(self.devices) > 1:
             batched = jax.shard_map(
                 batched, mesh=mesh, in_specs=specs, out_specs=runs, check_vma=False

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -215,6 +216,14 @@ def test_chunks_fit_into_memory(monkeypatch):
     with pytest.raises(JaxactError, match=r"1 run\(s\) of corridor need 1.00 GB, and only 0.50 GB"):
         chunk(50, memory_gb=0.5)
     assert chunk(3) == 3
+
+
+def test_matrices_are_factorized_one_at_a_time(program):
+    # A batch of them waits for the threads that it runs on: on two cores, forever.
+    lowered = program._traced_start.lower().as_text()
+    factorized = re.findall(r"lapack_sgeqrf.*?: \(tensor<([^>]*)xf32>", lowered)
+    assert factorized
+    assert all(shape.count("x") == 1 for shape in factorized)
 
 
 def test_memory_is_that_of_the_compiled_programs(program):
