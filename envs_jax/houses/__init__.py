@@ -1,0 +1,1 @@
+"""Furnished houses seen in the first person: navigation with cameras, in pure JAX."""
