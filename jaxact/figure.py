@@ -108,7 +108,7 @@ def _draw_band(axes: Axes, band: Band, style: dict[str, Any], *, thin: bool) -> 
 
 def _dress(axes: Axes, panel: Sequence[str], bands: Sequence[Band], x: str) -> None:
     """Gives a panel its title, limits and ticks."""
-    axes.set_title(panel[0] + (f"; thin: {', '.join(panel[1:])}" if len(panel) > 1 else ""))
+    axes.set_title(_title(panel))
     axes.tick_params(labelbottom=True)
     if all(name.endswith(_RATES) for name in panel):
         axes.set_ylim(-0.02, 1.02)
@@ -123,8 +123,20 @@ def _dress(axes: Axes, panel: Sequence[str], bands: Sequence[Band], x: str) -> N
         axes.set_ylim(low - margin, high + margin)
     axes.locator_params(axis="y", nbins=5)
     axes.locator_params(axis="x", nbins=5)
+    # Else a common power of ten stands above the axis, where it pushes the title up.
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     if x == "steps":
         axes.xaxis.set_major_formatter(lambda value, _: steps_text(value))
+
+
+def _title(panel: Sequence[str]) -> str:
+    """Names the metrics; what they are of only once, if it is the same."""
+    whole = [(name, *name.partition("/")) for name in panel]
+    subjects = {subject for _, _, _, subject in whole}
+    same = len(panel) > 1 and len(subjects) == 1
+    first, *others = [prefix if same else name for name, prefix, _, _ in whole]
+    text = f"{first}; thin: {', '.join(others)}" if others else first
+    return f"{subjects.pop()} ({text})" if same else text
 
 
 def steps_text(steps: float) -> str:

@@ -134,7 +134,8 @@ def plot_runs(
       runs: runs' directories, directories with runs inside, files such as those in `docs/results`.
       metrics: a panel for each, such as "train/return"; "evaluation/success+train/success" has both
         in one, the second thin. By default a page of what there is: success, return, components of
-        the reward, teacher forcing, the losses' weights, losses; without what never changes.
+        the reward, teacher forcing, the losses' weights, losses. What never changes is left
+        out, but for success.
       statistic: "median" with the quartiles over seeds, or "mean" with Student's 95 % interval.
       smooth: what was logged while training is averaged over so many environment steps.
       hours: whether curves are drawn against hours instead of environment steps.
@@ -239,9 +240,11 @@ def _default_panels(groups: Sequence[Group]) -> list[list[str]]:
     others = [name for name in losses if name not in ("losses/total", *weights)]
     panels += [[name] for name in ("train/teacher_forcing", *weights, "losses/total", *others)]
     panels = [[name for name in panel if name in curves] for panel in panels]
-    changing = {name for name, those in curves.items() if extent(c.value for c in those) > 0}
-    chosen = [panel for panel in panels if changing & set(panel)]
-    return chosen or [panel for panel in panels if panel][:1] or [[name] for name in sorted(curves)]
+    telling = {name for name, those in curves.items() if extent(c.value for c in those) > 0}
+    telling |= set(panels[0])  # success is asked for even if there is nothing else to say of it
+    return [panel for panel in panels if telling & set(panel)] or [
+        [name] for name in sorted(curves)
+    ]
 
 
 def _having(group: Group, metric: str) -> list[RunCurves]:

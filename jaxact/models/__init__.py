@@ -4,6 +4,7 @@ from jaxact.models.actor_critic import ActorCritic as ActorCritic
 from jaxact.models.beliefs import MultipleBeliefs as MultipleBeliefs
 from jaxact.models.encoders import BagOfWords as BagOfWords
 from jaxact.models.encoders import Concatenated as Concatenated
+from jaxact.models.encoders import Embedding as Embedding
 from jaxact.models.encoders import FiLM as FiLM
 from jaxact.models.encoders import GridCodes as GridCodes
 from jaxact.models.encoders import Image as Image
@@ -17,6 +18,7 @@ from jaxact.models.memory import LSTM as LSTM
 from jaxact.models.memory import NoMemory as NoMemory
 from jaxact.models.output import ActorCriticOutput as ActorCriticOutput
 from jaxact.models.q_network import QNetwork as QNetwork
+from jaxact.models.resnet import ResNet as ResNet
 
 __all__ = [
     "GRU",
@@ -27,6 +29,7 @@ __all__ = [
     "BagOfWords",
     "Concatenated",
     "DuelingHead",
+    "Embedding",
     "FiLM",
     "GridCodes",
     "Image",
@@ -34,6 +37,7 @@ __all__ = [
     "MultipleBeliefs",
     "NoMemory",
     "QNetwork",
+    "ResNet",
     "Vector",
     "WordsGRU",
 ]

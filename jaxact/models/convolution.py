@@ -59,17 +59,21 @@ convolve.defvjp(_forward, _backward)
 
 
 class Convolution(nn.Module):
-    """Valid convolution with bias, NHWC.
+    """Convolution, NHWC.
 
     Attributes:
       features: output channels.
       size: side of the square kernel.
       stride: step of the window.
+      padding: zeros on each side of the image.
+      use_bias: whether a bias is added.
     """
 
     features: int
     size: int
     stride: int = 1
+    padding: int = 0
+    use_bias: bool = True
 
     @nn.compact
     def __call__(self, x: jax.Array) -> jax.Array:
@@ -80,7 +84,11 @@ class Convolution(nn.Module):
             (self.size, self.size, x.shape[-1], self.features),
             jnp.float32,
         )
-        bias = self.param("bias", nn.initializers.zeros, (self.features,), jnp.float32)
         flat = x.reshape((-1, *x.shape[-3:]))
-        y = convolve(flat, kernel, self.stride) + bias
+        if self.padding:
+            sides = (self.padding, self.padding)
+            flat = jnp.pad(flat, ((0, 0), sides, sides, (0, 0)))
+        y = convolve(flat, kernel, self.stride)
+        if self.use_bias:
+            y = y + self.param("bias", nn.initializers.zeros, (self.features,), jnp.float32)
         return y.reshape(x.shape[:-3] + y.shape[1:])

@@ -168,13 +168,35 @@ class Image(nn.Module):
     @nn.compact
     def __call__(self, image: jax.Array) -> jax.Array:
         """Maps [..., H, W, C] to float32 [..., features]; uint8 is scaled to [0, 1]."""
-        x = image.astype(jnp.float32)
-        if image.dtype == jnp.uint8:
-            x = x / 255.0
+        x = scaled(image)
         for channels, size, stride in zip(self.channels, self.sizes, self.strides, strict=True):
             x = nn.relu(Convolution(channels, size, stride)(x))
         x = x.reshape((*x.shape[:-3], -1))
         return nn.relu(nn.Dense(self.features, kernel_init=RELU)(x))
+
+
+def scaled(image: jax.Array) -> jax.Array:
+    """Returns an image as float32, uint8 scaled to [0, 1]."""
+    x = image.astype(jnp.float32)
+    return x / 255.0 if image.dtype == jnp.uint8 else x
+
+
+class Embedding(nn.Module):
+    """Looks up what a number stands for, such as the category of an object to find.
+
+    Attributes:
+      features: size of the embedding.
+      size: numbers run from 0 to size − 1.
+    """
+
+    features: int
+    size: int
+
+    @nn.compact
+    def __call__(self, number: jax.Array) -> jax.Array:
+        """Maps integers [...] to float32 [..., features]."""
+        table = self.param("table", _UNIT, (self.size, self.features), jnp.float32)
+        return table.at[number].get(mode="clip")
 
 
 class Vector(nn.Module):

@@ -171,15 +171,17 @@ def test_distances_that_can_be_told_are_told():
     output, loss = output_of(embedding=time, mine=BELIEF), LOSSES["temporal distance"]
     nothing = jnp.zeros((H, 1), jnp.float32), jnp.zeros(1, jnp.float32)
 
+    @jax.jit
     def value(slope):
-        kernel = jnp.array([[-slope, slope]], jnp.float32)
+        kernel = jnp.stack([-slope, slope])[None]
         of_belief = dict(zip(("kernel", "bias"), nothing, strict=True))
         params = {"embedding": {"kernel": kernel}, "belief": of_belief}
-        return float(loss(output, BATCH, PROGRESS, {"params": params})[0])
+        return loss(output, BATCH, PROGRESS, {"params": params})[0]
 
-    assert value(1.0) == 0.0
-    assert value(0.5) == pytest.approx(0.25 * value(0.0), rel=1e-5)
-    assert value(0.0) > 0.0
+    right, half, none = (float(value(jnp.float32(x))) for x in (1.0, 0.5, 0.0))
+    assert right == 0.0
+    assert half == pytest.approx(0.25 * none, rel=1e-5)
+    assert none > 0.0
 
 
 def test_steps_of_an_episode():
@@ -204,13 +206,20 @@ def test_an_unknown_belief_is_named():
 def test_entropy_of_the_fusion():
     weights = np.random.default_rng(3).dirichlet(np.ones(3), (T, B)).astype(np.float32)
     named = dict(zip("abc", np.moveaxis(weights, -1, 0), strict=True))
-    loss, parts = FusionEntropy()(output_of(fusion=named), BATCH, PROGRESS)
+
+    @jax.jit
+    def graded(fusion):
+        def loss(fusion):
+            return FusionEntropy()(output_of(fusion=fusion), BATCH, PROGRESS)
+
+        return jax.value_and_grad(loss, has_aux=True)(fusion)
+
+    (loss, parts), _ = graded(named)
     assert float(loss) == pytest.approx((weights * np.log(weights)).sum(-1).mean(), rel=1e-5)
     assert float(parts["weight/b"]) == pytest.approx(weights[..., 1].mean(), rel=1e-5)
-    certain = {"a": jnp.ones((T, B), jnp.float32), "b": jnp.zeros((T, B), jnp.float32)}
-    graded = jax.value_and_grad(lambda w: FusionEntropy()(output_of(fusion=w), BATCH, PROGRESS)[0])
-    value, gradient = graded(certain)
-    assert float(value) == 0.0
+    certain = {name: jnp.full((T, B), name == "a", jnp.float32) for name in "abc"}
+    (loss, _), gradient = graded(certain)
+    assert float(loss) == 0.0
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(gradient))
     with pytest.raises(JaxactError, match="MultipleBeliefs"):
         FusionEntropy()(output_of(), BATCH, PROGRESS)

@@ -32,6 +32,17 @@ SCRIPT = """
         from tests.jaxact.test_value_training import r2d2
 
         small = r2d2(start_after=64)
+    elif kind == "demonstrations":
+        from jaxact.collect import collect
+        from jaxact.storages import DemonstrationStorage
+        from tests.corridor import corridor
+
+        collect(corridor(), "recorded", 90, world="corridor", progress=False)
+        recorded = DemonstrationStorage(
+            losses={"imitation": Imitation()}, path="recorded", lanes=8, length=8, updates=2
+        )
+        stage = Stage({"ppo": PPO()}, steps=256, storages={"recorded": recorded})
+        small = experiment(stages=(stage,))
     else:
         stage = Stage({"ppo": PPO(), "imitation": Imitation()}, steps=256, teacher_forcing=0.5)
         pomdp = curriculum() if kind == "curriculum" else None
@@ -42,7 +53,8 @@ SCRIPT = """
     def updates(n, state, count):
         rows = []
         for _ in range(count):
-            state, metrics = advance[n](state, program[n].numbers(), np.int32(1))
+            given = program[n].numbers(), np.int32(1), program[n].data
+            state, metrics = advance[n](state, *given)
             rows.append(jax.tree.map(lambda x: float(x[0]), metrics))
         return state, rows
 
@@ -121,6 +133,7 @@ def run(counts, kind, directory):
     [
         ([1, 4], "plain"),
         pytest.param([1, 4], "replay", marks=pytest.mark.slow),
+        pytest.param([1, 4], "demonstrations", marks=pytest.mark.slow),
         pytest.param([1, 2, 4], "plain", marks=pytest.mark.slow),
         pytest.param([1, 2, 4], "curriculum", marks=pytest.mark.slow),
     ],
@@ -129,7 +142,7 @@ def test_any_number_of_devices_learns_the_same(counts, kind, tmp_path):
     """First the very same steps, then the same but for rounding; checkpoints move between them.
 
     A curriculum draws the same episodes, too, and learns the same from them; a replay holds and
-    draws the same sequences.
+    draws the same sequences, and so do recorded demonstrations.
     """
     ended = run(counts, kind, tmp_path)
     assert ended.returncode == 0, ended.stderr

@@ -14,16 +14,19 @@ from jaxact.models import (
     ActorHead,
     BagOfWords,
     Concatenated,
+    Embedding,
     FiLM,
     GridCodes,
     Image,
     InstructedGrid,
     NoMemory,
+    ResNet,
     Vector,
     WordsGRU,
 )
 from jaxact.models.actor_critic import flatten_action
 from jaxact.models.convolution import Convolution, convolve
+from jaxact.models.resnet import BasicBlock
 from jaxact.spaces import Box, Dict, Discrete, Tuple
 
 T, B, F, H = 5, 3, 4, 6
@@ -192,6 +195,8 @@ ENCODERS = {
     "BagOfWords": (BagOfWords(8), TOKENS, (8,)),
     "WordsGRU": (WordsGRU(8), TOKENS, (8,)),
     "Image": (Image(16, channels=(4, 4, 4)), PIXELS, (16,)),
+    "ResNet": (ResNet(16, channels=4, blocks=(1, 1), groups=2, compressed=4), PIXELS, (16,)),
+    "Embedding": (Embedding(8, 20), TOKENS[..., 0], (8,)),
     "Vector": (Vector((9, 8)), normal(3, T, B, F), (8,)),
     "InstructedGrid": (InstructedGrid(10, 4), {"image": CODES, "mission": TOKENS}, (10,)),
     "Concatenated": (
@@ -249,6 +254,27 @@ def test_bytes_are_scaled_to_one():
     np.testing.assert_allclose(
         apply(image, params, PIXELS[0]), apply(image, params, as_floats), atol=1e-5
     )
+
+
+def test_a_block_without_residue_passes_the_image_on_and_a_lane_is_its_own():
+    """With the last scale of a basic block at zero, what is left of it is its shortcut."""
+    block = BasicBlock(4, 1, 2)
+    x = jnp.abs(normal(0, B, 6, 6, 4))
+    params = init(block, x)
+    last = params["params"]["GroupNorm_1"]
+    silent = {"params": {**params["params"], "GroupNorm_1": jax.tree.map(jnp.zeros_like, last)}}
+    np.testing.assert_array_equal(apply(block, silent, x), x)
+    np.testing.assert_allclose(apply(block, params, x)[:1], apply(block, params, x[:1]), atol=1e-5)
+
+
+def test_padded_convolutions_see_zeros_beyond_the_border():
+    layer = Convolution(2, 3, padding=1, use_bias=False)
+    x = normal(0, B, 5, 5, 1)
+    params = init(layer, x)
+    bordered = jnp.pad(x, ((0, 0), (1, 1), (1, 1), (0, 0)))
+    valid = apply(Convolution(2, 3, use_bias=False), params, bordered)
+    np.testing.assert_allclose(apply(layer, params, x), valid, atol=1e-6)
+    assert valid.shape == (B, 5, 5, 2)
 
 
 def test_convolution_adds_its_bias():

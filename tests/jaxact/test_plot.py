@@ -207,7 +207,7 @@ def test_the_page_has_what_changes(tmp_path: Path) -> None:
         make_run(tmp_path, seed, lines, {"0200": (200, 1, 10)})
     titles = [axes.get_title("left") for axes in plot_runs([tmp_path]).figure.axes]
     assert titles == [
-        "evaluation/success; thin: train/success",
+        "success (evaluation; thin: train)",
         "train/return",
         "losses/ppo/value",
     ]

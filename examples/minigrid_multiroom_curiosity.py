@@ -1,0 +1,27 @@
+"""MiniGrid-MultiRoom-N4-S5 with PPO and the intrinsic reward of a curiosity module.
+
+python -m jaxact.train examples/minigrid_multiroom_curiosity.py
+"""
+
+import envs_jax
+from jaxact import Experiment, Stage, TrainingPipeline
+from jaxact.losses import PPO, Curiosity
+from jaxact.models import GRU, ActorCritic, InstructedGrid
+from jaxact.schedules import Linear
+
+pomdp = envs_jax.make("MiniGrid-MultiRoom-N4-S5-v1")
+curiosity = Curiosity(action_space=pomdp.action_space, encoder=InstructedGrid(64))
+
+experiment = Experiment(
+    name="minigrid_multiroom_curiosity",
+    pomdp=pomdp,
+    model=ActorCritic(pomdp.action_space, InstructedGrid(), GRU(128)),
+    pipeline=TrainingPipeline(
+        stages=(Stage(losses={"ppo": PPO(clip=0.2), "curiosity": curiosity}, steps=4_000_000),),
+        lanes=256,
+        rollout_length=32,
+        epochs=2,
+        minibatches=4,
+        learning_rate=Linear(1e-3, 1e-4, steps=4e6),
+    ),
+)
