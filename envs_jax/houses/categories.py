@@ -45,7 +45,18 @@ FURNITURE = (
     "Toilet",
     "TVStand",
 )
-OTHERS = ("Book", "Box", "Candle", "CellPhone", "Cup", "Microwave", "Pan", "Pillow", "Plate", "Pot")
+OTHERS: tuple[str, ...] = (
+    "Book",
+    "Box",
+    "Candle",
+    "CellPhone",
+    "Cup",
+    "Microwave",
+    "Pan",
+    "Pillow",
+    "Plate",
+    "Pot",
+)
 OTHERS += ("RemoteControl", "Statue", "TeddyBear", "Toaster", "WashingMachine", "Object")
 NAMES = (*STRUCTURE, *FURNITURE, *ROBOTHOR_TARGETS, *OTHERS)
 ROOMS = ("Nothing", "Kitchen", "LivingRoom", "Bedroom", "Bathroom")
