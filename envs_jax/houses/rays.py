@@ -9,6 +9,7 @@ are planes.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
@@ -121,10 +122,10 @@ def locate(camera: Camera, pose: Pose, scene: Scene, view: View) -> Hits:
     # One box a ray, its 8 numbers leading.
     box = jnp.moveaxis(_seen_from(pose, scene.boxes)[row], -1, 0)
     enters, _ = _slabs(box, rays, 1 / (rays.y + _AJAR)[:, None])
-    entry = jnp.stack([jnp.broadcast_to(enter, shape) for enter in enters])
-    axis = jnp.argmax(entry, axis=0).astype(jnp.int32)
+    entry = [jnp.broadcast_to(enter, shape) for enter in enters]
+    axis = jnp.argmax(jnp.stack(entry), axis=0).astype(jnp.int32)
     x, z = _turned(box, rays)
-    direction = jnp.stack([x, jnp.broadcast_to(rays.y[:, None], shape), z])
+    direction = (x, jnp.broadcast_to(rays.y[:, None], shape), z)
     # The faces that a ray enters by look against it.
     faces = 2 * axis + (_along(direction, axis) > 0).astype(jnp.int32)
 
@@ -134,14 +135,13 @@ def locate(camera: Camera, pose: Pose, scene: Scene, view: View) -> Hits:
     on_floor = view.surface == FLOOR
     on_box = view.surface >= FIRST_BOX
     plane = jnp.where(on_floor, floor, jnp.where(view.surface == CEILING, ceiling, jnp.inf))
-    depth = jnp.where(on_box, jnp.max(entry, axis=0), plane)
+    depth = jnp.where(on_box, _along(entry, axis), plane)
 
     reach = jnp.where(depth < jnp.inf, depth, jnp.float32(0))
-    point = reach * direction - box[CENTER]
+    point = [reach * way - middle for way, middle in zip(direction, box[CENTER], strict=True)]
     # The face's own two axes: z and y on faces along x, x and z along y, x and y along z.
-    on_face = jnp.stack(
-        [_along(point[jnp.array([2, 0, 0])], axis), _along(point[jnp.array([1, 2, 1])], axis)]
-    )
+    u = _along((point[2], point[0], point[0]), axis)
+    v = _along((point[1], point[2], point[1]), axis)
     cosine, sine = jnp.cos(jnp.deg2rad(pose.yaw)), jnp.sin(jnp.deg2rad(pose.yaw))
     forward = rays.z[:, None]
     plan = jnp.stack(
@@ -153,7 +153,7 @@ def locate(camera: Camera, pose: Pose, scene: Scene, view: View) -> Hits:
     return Hits(
         depth=depth,
         face=jnp.where(on_box, faces, jnp.where(on_floor, jnp.int32(2), jnp.int32(3))),
-        uv=jnp.moveaxis(jnp.where(on_box, on_face, plan), 0, -1),
+        uv=jnp.moveaxis(jnp.where(on_box, jnp.stack([u, v]), plan), 0, -1),
     )
 
 
@@ -228,6 +228,6 @@ def _planes(rays: Rays, pose: Pose, scene: Scene) -> tuple[jax.Array, jax.Array]
     return floor, ceiling
 
 
-def _along(values: jax.Array, axis: jax.Array) -> jax.Array:
-    """Returns of values [3, H, W] those of one axis [H, W] each."""
+def _along(values: Sequence[jax.Array], axis: jax.Array) -> jax.Array:
+    """Returns, of three arrays [H, W], the one that an axis [H, W] says."""
     return jnp.where(axis == 0, values[0], jnp.where(axis == 1, values[1], values[2]))
