@@ -45,7 +45,18 @@ FURNITURE = (
     "Toilet",
     "TVStand",
 )
-OTHERS = ("Book", "Box", "Candle", "CellPhone", "Cup", "Microwave", "Pan", "Pillow", "Plate", "Pot")
+OTHERS: tuple[str, ...] = (
+    "Book",
+    "Box",
+    "Candle",
+    "CellPhone",
+    "Cup",
+    "Microwave",
+    "Pan",
+    "Pillow",
+    "Plate",
+    "Pot",
+)
 OTHERS += ("RemoteControl", "Statue", "TeddyBear", "Toaster", "WashingMachine", "Object")
 OTHERS += ("AluminumFoil", "BathtubBasin", "Blinds", "Boots", "Bottle", "Bread", "ButterKnife")
 OTHERS += ("CD", "Cart", "Cloth", "ClothesDryer", "CoffeeMachine", "CreditCard", "Curtains")

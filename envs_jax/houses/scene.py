@@ -7,6 +7,7 @@ forward is (sin yaw, 0, cos yaw). A plan is a pair (x, z).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
@@ -89,3 +90,54 @@ def to_local(boxes: jax.Array, plan: jax.Array) -> jax.Array:
     z = plan[..., None, 1] - boxes[:, 2]
     cosine, sine = boxes[:, COSINE], boxes[:, SINE]
     return jnp.stack([cosine * x - sine * z, sine * x + cosine * z], axis=-1)
+
+
+def make_scene(
+    boxes: Sequence[Sequence[float]],
+    categories: Sequence[int],
+    rooms: Sequence[Sequence[float]] = (),
+    *,
+    size: int | None = None,
+    other_boxes: Sequence[Sequence[float] | None] | None = None,
+    portable: Sequence[int] = (),
+) -> Scene:
+    """Makes a scene of a few boxes by hand, grey and with its doors shut.
+
+    Args:
+      boxes: for each its centre (x, y, z), its whole size (x, y, z) and its yaw in degrees.
+      categories: of each, indices into `categories.NAMES`.
+      rooms: rectangles (x low, z low, x high, z high), all of kind 0.
+      size: N, how many rows there are with padding; None for no padding.
+      other_boxes: for each box where it goes when it is opened; None if it cannot be.
+      portable: rows that an agent can carry.
+    """
+    count = len(boxes) if size is None else size
+    opened = other_boxes if other_boxes is not None else [None] * len(boxes)
+
+    def rows(chosen: Sequence[Sequence[float]]) -> jax.Array:
+        values = jnp.asarray(chosen, jnp.float32).reshape(-1, 7)
+        made = box(values[:, :3], values[:, 3:6] / 2, values[:, 6])
+        padding = jnp.zeros((count - len(chosen), 8), jnp.float32)
+        padding = padding.at[:, CENTER].set(NOWHERE).at[:, COSINE].set(1)
+        return jnp.concatenate([made, padding])
+
+    def flags(chosen: Sequence[int]) -> jax.Array:
+        return jnp.zeros(count, bool).at[jnp.asarray(chosen, jnp.int32)].set(True)
+
+    kinds = jnp.zeros(count, jnp.int32)
+    kinds = kinds.at[: len(boxes)].set(jnp.asarray(categories, jnp.int32))
+    openable = [row for row, place in enumerate(opened) if place is not None]
+    places = [shut if place is None else place for shut, place in zip(boxes, opened, strict=True)]
+    return Scene(
+        boxes=rows(boxes),
+        other_boxes=rows(places),
+        category=kinds,
+        color=jnp.full((count, 3), 0.5, jnp.float32),
+        openable=flags(openable),
+        portable=flags(portable),
+        opened=jnp.zeros(count, bool),
+        rooms=jnp.asarray(rooms, jnp.float32).reshape(-1, 4),
+        room_kind=jnp.zeros(len(rooms), jnp.int32),
+        ceiling=jnp.float32(2.5),
+        surface=jnp.full((2, 3), 0.5, jnp.float32),
+    )

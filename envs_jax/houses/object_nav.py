@@ -1,0 +1,190 @@
+"""ObjectNav: find an instance of a category, and say so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from envs_jax.houses import journey as journeys
+from envs_jax.houses import visibility
+from envs_jax.houses.collision import obstacles
+from envs_jax.houses.environment import House
+from envs_jax.houses.expert import look, walk
+from envs_jax.houses.geodesic import Roadmap
+from envs_jax.houses.journey import Journey
+from envs_jax.houses.scene import Scene
+from envs_jax.houses.state import HouseState
+from envs_jax.houses.visibility import ROBOTHOR_SIGHT, Sight
+from jaxact.errors import unknown
+from jaxact.pomdp import ExpertAction, Outcome, Task
+
+RULES = ("visible", "view_point")
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ObjectNavState:
+    """Progress of an `ObjectNav`.
+
+    Attributes:
+      category: int32 scalar, index into `categories.NAMES` of what to find.
+      start: float32 [3], the plan and the yaw at which the agent set out.
+      journey: how far the nearest view point is.
+    """
+
+    category: jax.Array
+    start: jax.Array
+    journey: Journey
+
+
+@dataclass(frozen=True)
+class ObjectNav(Task):
+    """End where an instance is visible, or at a view point; "end" ends the episode anywhere.
+
+    Distances are to the nearest place from which an instance is visible to who turns to it, see
+    `visibility.view_points`. The shaping reward of a step is no more than the metres moved in it,
+    either way: distances may jump as things move.
+
+    Sources: AllenAct's `ObjectNavTask` for RoboTHOR and `ObjectNaviThorGridTask`, and habitat-lab's
+    ObjectNav (`distance_to: VIEW_POINTS`).
+
+    Attributes:
+      house: the dynamics: its body, its actions, of which one is "end", and what the expert does.
+      sight: when an instance is visible.
+      rule: what success is: "visible", by AI2-THOR's rule; "view_point", strictly within `radius`
+        of one (Habitat).
+      radius: metres.
+      view_points: G, at most how many places are goals.
+      step_penalty: the reward, a negative one, of each step.
+      refusal_penalty: added for an action that was stopped or changed nothing.
+      shaping: reward for each metre that a goal comes nearer.
+      success_reward: for ending with success.
+      failure_reward: for ending without.
+    """
+
+    house: House
+    sight: Sight = ROBOTHOR_SIGHT
+    rule: str = "visible"
+    radius: float = 0.1
+    view_points: int = 64
+    step_penalty: float = -0.01
+    refusal_penalty: float = 0.0
+    shaping: float = 1.0
+    success_reward: float = 10.0
+    failure_reward: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.rule not in RULES:
+            raise unknown("rule of success", self.rule, RULES)
+
+    def goals(self, scene: Scene, category: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Finds places from which an instance of a category is visible.
+
+        Args:
+          scene: to search.
+          category: int32 scalar, index into `categories.NAMES`.
+
+        Returns:
+          Plans float32 [G, 2] and bool [G], which of them are used.
+        """
+        boxes, body = scene.boxes, self.house.body
+        wanted = (scene.category == category) & scene.present
+        rows = visibility.nearest(boxes, wanted, jnp.zeros(2, jnp.float32), self.sight.instances)
+        blocked = obstacles(boxes, body)
+        places, good = jax.vmap(
+            lambda row: visibility.view_points(self.sight, body, boxes, blocked, row)
+        )(rows)
+        good &= wanted[rows][:, None]
+        # The instances take turns, so that each has its share of the goals.
+        places, good = places.swapaxes(0, 1).reshape(-1, 2), good.T.reshape(-1)
+        count = min(self.view_points, good.shape[0])
+        present, chosen = jax.lax.top_k(good.astype(jnp.float32), count)
+        return places[chosen], present > 0
+
+    def start(
+        self,
+        roadmap: Roadmap,
+        state: HouseState,
+        category: jax.Array,
+        goals: jax.Array,
+        present: jax.Array,
+    ) -> ObjectNavState:
+        """Returns the first state of an episode.
+
+        Args:
+          roadmap: of the scene, from `build_roadmap(scene, house.body)`.
+          state: where the agent begins, from `house.start(scene, position, yaw, pitch)`.
+          category: int32 scalar, index into `categories.NAMES`.
+          goals: float32 [G, 2], from `goals(scene, category)`.
+          present: bool [G], likewise.
+        """
+        journey = journeys.begin(roadmap, state, self.house.body, goals, present)
+        start = jnp.concatenate([state.position, state.yaw[None]])
+        return ObjectNavState(jnp.asarray(category, jnp.int32), start, journey)
+
+    def step(
+        self,
+        task_state: ObjectNavState,
+        before: HouseState,
+        action: jax.Array,
+        after: HouseState,
+    ) -> tuple[ObjectNavState, Outcome]:
+        """Judges one step; see `Task.step`."""
+        old = task_state.journey
+        new = journeys.advance(old, self.house.body, before, after)
+        task_state = ObjectNavState(task_state.category, task_state.start, new)
+        ended = jnp.asarray(action, jnp.int32) == self.house.actions.index("end")
+        success = ended & self._found(task_state, after)
+        limit = journeys.moved(before, after)
+        zero = jnp.float32(0)
+        end_reward = jnp.where(
+            success, self._number("success_reward"), self._number("failure_reward")
+        )
+        refused = journeys.refused(before, after) & ~ended
+        approach = jnp.clip(journeys.approach(old, new), -limit, limit)
+        return task_state, Outcome(
+            reward={
+                "step": self._number("step_penalty"),
+                "refusal": jnp.where(refused, self._number("refusal_penalty"), zero),
+                "shaping": self._number("shaping") * approach,
+                "success": jnp.where(ended, end_reward, zero),
+            },
+            success={"goal": success},
+            terminated=ended,
+            metrics=journeys.report(new, success),
+        )
+
+    def expert(self, key: jax.Array, task_state: ObjectNavState, state: HouseState) -> ExpertAction:
+        """Returns the next action of a short search of somebody who knows where things are."""
+        action = walk(self.house, task_state.journey.field, state, key)
+        if self.rule == "visible":
+            wanted = self._wanted(task_state, state)
+            turned, seen = look(self.house, self.sight, wanted, state)
+            action = jnp.where(seen, turned, action)
+        end = self.house.actions.index("end")
+        action = jnp.where(self._found(task_state, state), end, action)
+        return ExpertAction(action.astype(jnp.int32), jnp.bool_(True))
+
+    def _wanted(self, task_state: ObjectNavState, state: HouseState) -> jax.Array:
+        return (state.scene.category == task_state.category) & state.scene.present
+
+    def _found(self, task_state: ObjectNavState, state: HouseState) -> jax.Array:
+        """Returns a bool scalar: whether to end here is success."""
+        if self.rule == "view_point":
+            near = task_state.journey.distance < self._number("radius")
+            return near & jnp.isfinite(task_state.journey.start_distance)
+        wanted = self._wanted(task_state, state)
+        return visibility.is_visible(
+            self.sight,
+            self.house.body,
+            state.scene.boxes,
+            wanted,
+            state.position,
+            state.yaw,
+            state.pitch,
+        )
+
+    def _number(self, name: str) -> jax.Array:
+        return jnp.asarray(getattr(self, name), jnp.float32)
