@@ -1,4 +1,4 @@
-"""What boxes and rooms are called."""
+"""What boxes and rooms are called: AI2-THOR's object types, and its kinds of rooms."""
 
 from __future__ import annotations
 
@@ -58,6 +58,17 @@ OTHERS: tuple[str, ...] = (
     "Pot",
 )
 OTHERS += ("RemoteControl", "Statue", "TeddyBear", "Toaster", "WashingMachine", "Object")
+OTHERS += ("AluminumFoil", "BathtubBasin", "Blinds", "Boots", "Bottle", "Bread", "ButterKnife")
+OTHERS += ("CD", "Cart", "Cloth", "ClothesDryer", "CoffeeMachine", "CreditCard", "Curtains")
+OTHERS += ("DeskLamp", "Desktop", "DishSponge", "DogBed", "Dumbbell", "Egg", "Faucet", "FloorLamp")
+OTHERS += ("Footstool", "Fork", "GarbageBag", "HandTowel", "HandTowelHolder", "Kettle", "KeyChain")
+OTHERS += ("Knife", "Ladle", "LaundryHamper", "Lettuce", "LightSwitch", "Mirror", "Newspaper")
+OTHERS += ("Painting", "PaperTowelRoll", "Pen", "Pencil", "PepperShaker", "Plunger", "Poster")
+OTHERS += ("Potato", "RoomDecor", "SaltShaker", "ScrubBrush", "ShowerCurtain", "ShowerDoor")
+OTHERS += ("ShowerGlass", "ShowerHead", "SinkBasin", "SoapBar", "SoapBottle", "Spatula", "Spoon")
+OTHERS += ("StoveKnob", "TableTopDecor", "TennisRacket", "TissueBox", "ToiletPaper")
+OTHERS += ("ToiletPaperHanger", "Tomato", "Towel", "TowelHolder", "VacuumCleaner", "Watch")
+OTHERS += ("WateringCan", "WineBottle")
 NAMES = (*STRUCTURE, *FURNITURE, *ROBOTHOR_TARGETS, *OTHERS)
 ROOMS = ("Nothing", "Kitchen", "LivingRoom", "Bedroom", "Bathroom")
 _INDEX = {name: i for i, name in enumerate(NAMES)}

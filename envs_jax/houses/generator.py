@@ -1,0 +1,243 @@
+"""Furnished houses at random: a pure function of a key, of fixed shapes and bounded work.
+
+What there is and how large follows the statistics of ProcTHOR's assets (`asset_sizes`); floor plans
+are in `floor_plans`, and why one can go everywhere in them in `furnishing`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from envs_jax.houses import categories
+from envs_jax.houses.floor_plans import MOST_ROOMS, FloorPlan, draw_plan
+from envs_jax.houses.furnishing import MOST_SLOTS, Pieces, furnish, set_out
+from envs_jax.houses.scene import NOWHERE, Scene, box
+from jaxact.errors import JaxactError, unknown
+
+SPLITS = ("train", "val", "test")
+_ON_FLOOR = ("GarbageCan", "HousePlant", "BasketBall", "BaseballBat")
+_ON_FURNITURE = tuple(name for name in categories.ROBOTHOR_TARGETS if name not in _ON_FLOOR)
+# Of what stands on the floor; all that lies on furniture can be carried but televisions.
+_PORTABLE = np.array([name in ("BasketBall", "BaseballBat", "Box") for name in categories.NAMES])
+
+
+@dataclass(frozen=True)
+class Style:
+    """What houses are like.
+
+    Attributes:
+      long_side: least and greatest length in metres of the longer side, between the middles of the
+        outer walls.
+      short_side: of the shorter one; at least 2.3.
+      rooms: least and greatest number of rooms; fewer where they would become too small.
+      widest_door: the greatest width of a doorway; the least is 0.9.
+      lintels: whether there is wall above doorways.
+      furniture: how many pieces stand in a room at most.
+      on_floor: names of what is put on the floor somewhere.
+      on_furniture: names of what is put on furniture, each where ProcTHOR's statistics would have
+        it; absent if there is no such furniture.
+      kind: the kind of the only room; empty for any, and with several rooms by their size.
+      boxes: rows of the scene.
+    """
+
+    long_side: tuple[float, float]
+    short_side: tuple[float, float]
+    rooms: tuple[int, int]
+    widest_door: float
+    lintels: bool
+    furniture: int
+    on_floor: tuple[str, ...]
+    on_furniture: tuple[str, ...]
+    kind: str
+    boxes: int
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.rooms[0] <= self.rooms[1] <= MOST_ROOMS:
+            raise JaxactError(f"rooms must be two numbers in 1 … {MOST_ROOMS}, not {self.rooms}")
+        if self.kind and self.kind not in categories.ROOMS[1:]:
+            raise unknown("kind of room", self.kind, categories.ROOMS[1:])
+        if not 0 <= self.furniture <= MOST_SLOTS:
+            raise JaxactError(f"furniture must be in 0 … {MOST_SLOTS}, not {self.furniture}")
+        if min(self.short_side) < 2.3 or self.widest_door < 0.9:
+            raise JaxactError("sides must be at least 2.3 m, and widest_door at least 0.9 m")
+        rooms, walls = self.rooms[1], 3 if self.lintels else 2
+        needed = 4 + walls * (rooms - 1) + 1 + rooms + rooms * self.furniture
+        needed += len(self.on_floor) + len(self.on_furniture)
+        if needed > self.boxes:
+            raise JaxactError(f"such houses need {needed} boxes, not {self.boxes}")
+        for name in self.on_floor + self.on_furniture:
+            categories.index(name)
+
+
+@dataclass(frozen=True)
+class Room(Style):
+    """A single room, as iTHOR's kitchens, living rooms, bedrooms and bathrooms."""
+
+    long_side: tuple[float, float] = (3.6, 7.0)
+    short_side: tuple[float, float] = (3.0, 5.0)
+    rooms: tuple[int, int] = (1, 1)
+    widest_door: float = 0.9
+    lintels: bool = False
+    furniture: int = MOST_SLOTS
+    on_floor: tuple[str, ...] = _ON_FLOOR
+    on_furniture: tuple[str, ...] = (
+        *_ON_FURNITURE,
+        *("Book", "Box", "Bread", "Candle", "CellPhone", "CoffeeMachine", "Cup", "HousePlant"),
+        *("Microwave", "Pan", "Pillow", "Plate", "Pot", "RemoteControl", "Statue", "TeddyBear"),
+        *("Toaster", "Tomato"),
+    )
+    kind: str = ""
+    boxes: int = 64
+
+
+@dataclass(frozen=True)
+class Apartment(Style):
+    """A flat with thin partitions with gaps in them, as RoboTHOR's."""
+
+    long_side: tuple[float, float] = (7.5, 9.5)
+    short_side: tuple[float, float] = (4.0, 5.0)
+    rooms: tuple[int, int] = (3, 4)
+    widest_door: float = 1.6
+    lintels: bool = False
+    furniture: int = 8
+    on_floor: tuple[str, ...] = _ON_FLOOR
+    on_furniture: tuple[str, ...] = (*_ON_FURNITURE, "Book")
+    kind: str = ""
+    boxes: int = 64
+
+
+@dataclass(frozen=True)
+class Floor(Style):
+    """A floor of several rooms with doorways, as ProcTHOR's houses and Habitat's scans."""
+
+    long_side: tuple[float, float] = (7.0, 13.0)
+    short_side: tuple[float, float] = (5.0, 10.0)
+    rooms: tuple[int, int] = (3, 8)
+    widest_door: float = 1.2
+    lintels: bool = True
+    furniture: int = 8
+    on_floor: tuple[str, ...] = (*_ON_FLOOR, "Box")
+    on_furniture: tuple[str, ...] = (
+        *_ON_FURNITURE,
+        *("Book", "Book", "Bread", "Candle", "CellPhone", "Cup", "Microwave", "Pillow", "Plate"),
+        *("Pot", "RemoteControl", "Statue", "TeddyBear", "Toaster"),
+    )
+    kind: str = ""
+    boxes: int = 128
+
+
+def scene_key(split: str, index: jax.Array | int) -> jax.Array:
+    """Returns the key of a split's scene; no two splits share one.
+
+    Raises:
+      JaxactError: there is no such split.
+    """
+    if split not in SPLITS:
+        raise unknown("split", split, SPLITS)
+    # The implementation is named so that scenes do not depend on JAX's settings.
+    base = jax.random.fold_in(
+        jax.random.key(0, impl="threefry2x32"), jnp.uint32(SPLITS.index(split))
+    )
+    return jax.random.fold_in(base, index)
+
+
+def _colors() -> np.ndarray:
+    """Returns a colour for each category, float32 [C, 3]: spread hues, vivid for small things."""
+    number = np.arange(len(categories.NAMES))
+    hue = 6 * (number * 0.618034 % 1)
+    vivid = np.where([name in categories.FURNITURE for name in categories.NAMES], 0.4, 0.75)
+    value = 0.9 - 0.45 * (number * 0.754878 % 1)
+    # The usual way from hue, saturation and value to RGB.
+    ramp = np.abs((hue[:, None] + np.array([0, 4, 2])) % 6 - 3) - 1
+    rgb = value[:, None] * (1 - vivid[:, None] * (1 - np.clip(ramp, 0, 1)))
+    fixed = {"Wall": (0.9, 0.88, 0.84), "Door": (0.5, 0.35, 0.22), "Window": (0.6, 0.78, 0.92)}
+    for name, color in fixed.items():
+        rgb[categories.index(name)] = color
+    return rgb.astype(np.float32)
+
+
+_COLORS = _colors()
+_PADDING = np.array([0, NOWHERE, 0, 0, 0, 0, 1, 0], np.float32)
+
+
+def generate(key: jax.Array, style: Style) -> Scene:
+    """Draws a house.
+
+    A body of up to 0.2 m radius can come from everywhere to everywhere and to within 1 m of all
+    that can be carried, with a free line of sight.
+
+    Args:
+      key: a PRNG key; `scene_key` gives those of a split.
+      style: what it is to be like; static.
+    """
+    size_key, plan_key, furniture_key, thing_key, color_key = jax.random.split(key, 5)
+    draws = jax.random.uniform(size_key, (5,), jnp.float32)
+    size = jnp.stack(
+        [
+            low + draw * (high - low)
+            for draw, (low, high) in zip(draws, (style.long_side, style.short_side), strict=False)
+        ]
+    )
+    size = jnp.where(draws[2] < 0.5, size, size[::-1])
+    least, most = style.rooms
+    rooms = least + jnp.floor(draws[3] * (most - least + 1)).astype(jnp.int32)
+    plan = draw_plan(plan_key, size, rooms, most, style.widest_door, style.lintels)
+    if most == 1:
+        drawn = 1 + jnp.floor(draws[4] * (len(categories.ROOMS) - 1)).astype(jnp.int32)
+        kind = jnp.int32(categories.ROOMS.index(style.kind)) if style.kind else drawn
+        plan = replace(plan, kind=kind[None])
+    extras = tuple(categories.index(name) for name in style.on_floor)
+    furniture = furnish(furniture_key, plan, style.furniture, extras)
+    objects = tuple(categories.index(name) for name in style.on_furniture)
+    things = set_out(thing_key, furniture, objects)
+    return _scene(color_key, style, plan, furniture, things)
+
+
+def _scene(
+    key: jax.Array, style: Style, plan: FloorPlan, furniture: Pieces, things: Pieces
+) -> Scene:
+    """Puts everything into one table of boxes."""
+    low, high = plan.structure[:, :3], plan.structure[:, 3:]
+    center = jnp.concatenate([(low + high) / 2, furniture.center, things.center])
+    half = jnp.concatenate([(high - low) / 2, furniture.half_size, things.half_size])
+    no_yaw = jnp.zeros(len(low), jnp.float32)
+    yaw = jnp.concatenate([no_yaw, furniture.yaw, things.yaw])
+    category = jnp.concatenate([plan.category, furniture.category, things.category])
+    placed = jnp.concatenate([plan.category, furniture.place + 1, things.place + 1]) > 0
+    lies = jnp.arange(len(center)) >= len(low) + len(furniture.place)
+    category = jnp.where(placed, category, 0)
+    portable = jnp.where(
+        lies, category != categories.index("Television"), jnp.asarray(_PORTABLE)[category]
+    )
+    boxes = jnp.where(placed[:, None], box(center, half, yaw), _PADDING)
+    missing = style.boxes - len(boxes)
+    boxes = jnp.concatenate([boxes, jnp.broadcast_to(_PADDING, (missing, 8))])
+    category = jnp.pad(category, (0, missing))
+    portable = jnp.pad(portable & placed, (0, missing))
+
+    wall_key, color_key, surface_key = jax.random.split(key, 3)
+    # The walls of a house are all of one colour, other things each a little off their category's.
+    walls = jax.random.uniform(wall_key, (3,), jnp.float32, -0.25, 0.08)
+    own = jax.random.uniform(color_key, (style.boxes, 3), jnp.float32, -0.1, 0.1)
+    is_wall = (category == categories.index("Wall"))[:, None]
+    color = jnp.asarray(_COLORS)[category] + jnp.where(is_wall, walls, own)
+    surface = jnp.array([[0.55, 0.42, 0.3], [0.95, 0.95, 0.93]], jnp.float32)
+    tint = jax.random.uniform(surface_key, (2, 3), jnp.float32, -1.0, 1.0)
+    surface += jnp.array([[0.15], [0.05]], jnp.float32) * tint
+    return Scene(
+        boxes=boxes,
+        other_boxes=boxes,
+        category=category,
+        color=jnp.where((category > 0)[:, None], jnp.clip(color, 0.0, 1.0), 0.0),
+        openable=jnp.zeros(style.boxes, bool),
+        portable=portable,
+        opened=jnp.zeros(style.boxes, bool),
+        rooms=plan.rooms,
+        room_kind=plan.kind,
+        ceiling=plan.ceiling,
+        surface=jnp.clip(surface, 0.0, 1.0),
+    )
