@@ -99,7 +99,8 @@ class System:
         return self.prng is not None
 
 
-def _require(package: str) -> None:
+def require(package: str) -> None:
+    """Raises `Unsupported` if a package is not installed."""
     if find_spec(package) is None:
         raise Unsupported("not installed (pip install 'jaxact[bench]')")
 
@@ -171,7 +172,7 @@ class JaxactWorld:
 
 
 def _xminigrid(job: Job) -> tuple[Running, Facts]:
-    _require("xminigrid")
+    require("xminigrid")
     import xminigrid
 
     name = job.id.removesuffix("-v0").replace("Empty-Random-", "EmptyRandom-")
@@ -218,7 +219,7 @@ class XMiniGridWorld:
 
 
 def _navix(job: Job) -> tuple[Running, Facts]:
-    _require("navix")
+    require("navix")
     import navix
 
     name = job.id.replace("MiniGrid-", "Navix-")
@@ -265,7 +266,7 @@ class NavixWorld:
         return timestep, timestep.observation, timestep.reward, timestep.step_type > 0
 
 
-class _Host:
+class Host:
     """Loops over worlds that live outside of JAX: what they share."""
 
     compile_seconds = 0.0
@@ -295,7 +296,7 @@ class _Host:
 
 
 def _envpool(job: Job) -> tuple[Running, Facts]:
-    _require("envpool")
+    require("envpool")
     import envpool
 
     if job.id not in envpool.list_all_envs():
@@ -303,7 +304,7 @@ def _envpool(job: Job) -> tuple[Running, Facts]:
     return EnvPoolLoop(job), {"lanes": job.lanes}
 
 
-class EnvPoolLoop(_Host):
+class EnvPoolLoop(Host):
     """EnvPool's C++ worlds, a thread for each core; all lanes step together."""
 
     def __init__(self, job: Job) -> None:
@@ -344,12 +345,12 @@ class EnvPoolLoop(_Host):
 
 
 def _minigrid(job: Job) -> tuple[Running, Facts]:
-    _require("minigrid")
+    require("minigrid")
     lanes = min(job.lanes, PYTHON_LANES)
     return MiniGridLoop(job, lanes), {"lanes": lanes}
 
 
-class MiniGridLoop(_Host):
+class MiniGridLoop(Host):
     """MiniGrid itself: a plain loop over a few worlds in one process."""
 
     def __init__(self, job: Job, lanes: int) -> None:

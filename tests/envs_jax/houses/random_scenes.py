@@ -15,7 +15,7 @@ BODY = Body(radius=0.175, height=0.9, camera_height=0.87)
 SIZE = 8.0
 
 
-def scene(seed: int, boxes: int = 40, padding: int = 6) -> Scene:
+def scene(seed: int, boxes: int = 36, padding: int = 4) -> Scene:
     """Boxes of all sizes, turned anyhow, in a room of 8 × 8 metres with four walls."""
     random = np.random.default_rng(seed)
     loose = boxes - 4
@@ -53,7 +53,7 @@ def scene(seed: int, boxes: int = 40, padding: int = 6) -> Scene:
     return jax.tree.map(jnp.asarray, fields)
 
 
-def state(seed: int, boxes: int = 40, pitch: float | None = None) -> HouseState:
+def state(seed: int, boxes: int = 36, pitch: float | None = None) -> HouseState:
     """A scene with an agent somewhere in it, perhaps within a box."""
     random = np.random.default_rng(seed + 1000)
     return HouseState(

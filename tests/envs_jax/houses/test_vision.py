@@ -244,8 +244,8 @@ def test_pictures(states) -> None:
             pictures.house_map(
                 state.scene, state, BODY, goal=goal, trajectory=line, path=line + 0.7, pixels=64
             ),
-            pictures.overview(state, BODY, camera),
-            pictures.strip(state, BODY, Camera(32, 32, 60), goal=goal),
+            pictures.overview(state, BODY, camera, rays=1),
+            pictures.strip(state, BODY, CAMERA, goal=goal),
             SENSORS["semantic"].picture(state, None),
         )
 
