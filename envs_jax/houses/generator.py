@@ -160,7 +160,7 @@ def _colors() -> np.ndarray:
     return rgb.astype(np.float32)
 
 
-_COLORS = _colors()
+COLORS = _colors()
 _PADDING = np.array([0, NOWHERE, 0, 0, 0, 0, 1, 0], np.float32)
 
 
@@ -224,7 +224,7 @@ def _scene(
     walls = jax.random.uniform(wall_key, (3,), jnp.float32, -0.25, 0.08)
     own = jax.random.uniform(color_key, (style.boxes, 3), jnp.float32, -0.1, 0.1)
     is_wall = (category == categories.index("Wall"))[:, None]
-    color = jnp.asarray(_COLORS)[category] + jnp.where(is_wall, walls, own)
+    color = jnp.asarray(COLORS)[category] + jnp.where(is_wall, walls, own)
     surface = jnp.array([[0.55, 0.42, 0.3], [0.95, 0.95, 0.93]], jnp.float32)
     tint = jax.random.uniform(surface_key, (2, 3), jnp.float32, -1.0, 1.0)
     surface += jnp.array([[0.15], [0.05]], jnp.float32) * tint

@@ -14,12 +14,13 @@ from envs_jax.houses.scene import CENTER, COSINE, HALF_SIZE, SINE, Scene
 from envs_jax.houses.state import Body
 
 _STEP_OVER = 0.02
+_DOORWAY = 0.1
 
 
 def free_cells(
     scene: Scene, body: Body, resolution: float = 0.05
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Finds where a body fits, among the multiples of `resolution` between a house's rooms.
+    """Finds where a body fits, among the multiples of `resolution` in rooms and doorways.
 
     Returns:
       bool [X, Z] whether it does, and the coordinates float64 [X] and [Z].
@@ -33,7 +34,11 @@ def free_cells(
     bottom = boxes[:, 1] - boxes[:, HALF_SIZE][:, 1]
     top = boxes[:, 1] + boxes[:, HALF_SIZE][:, 1]
     boxes = boxes[(bottom < body.height) & (top > _STEP_OVER)]
-    free = np.ones((len(x), len(z)), bool)
+    # Doorways are between rooms, and what is further out is outside.
+    free = np.zeros((len(x), len(z)), bool)
+    for x_low, z_low, x_high, z_high in rooms + _DOORWAY * np.array([-1, -1, 1, 1]):
+        within = (x >= x_low) & (x <= x_high)
+        free |= within[:, None] & (z >= z_low) & (z <= z_high)
     for box in boxes:
         u, v = _local(box, x[:, None] - box[0], z[None] - box[2])
         across = np.maximum(np.abs(u) - box[HALF_SIZE][0], 0)
