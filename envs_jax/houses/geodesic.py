@@ -223,16 +223,16 @@ def visible(obstacles: jax.Array, radii: jax.Array, start: jax.Array, end: jax.A
 
     def look(gap: jax.Array, obstacle: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
         box, radius = obstacle
-        center, size, cosine, sine = box[CENTER], box[HALF_SIZE], box[COSINE], box[SINE]
-        x, z = middle[..., 0] - center[0], middle[..., 1] - center[2]
+        size_x, size_z, cosine, sine = box[3], box[5], box[COSINE], box[SINE]
+        x, z = middle[..., 0] - box[0], middle[..., 1] - box[2]
         x, z = cosine * x - sine * z, sine * x + cosine * z
         u = cosine * half[..., 0] - sine * half[..., 1]
         v = sine * half[..., 0] + cosine * half[..., 1]
         a, b = jnp.abs(u), jnp.abs(v)
-        apart = jnp.maximum(jnp.abs(x) - a - size[0], jnp.abs(z) - b - size[2]) - radius
+        apart = jnp.maximum(jnp.abs(x) - a - size_x, jnp.abs(z) - b - size_z) - radius
         diagonal = jnp.maximum(jnp.abs(x + z) - jnp.abs(u + v), jnp.abs(x - z) - jnp.abs(u - v))
-        apart = jnp.maximum(apart, diagonal - (size[0] + size[2] + _ROOT * radius))
-        across = size[0] * b + size[2] * a
+        apart = jnp.maximum(apart, diagonal - (size_x + size_z + _ROOT * radius))
+        across = size_x * b + size_z * a
         across += radius * (jnp.maximum(a, b) + _EIGHTH * jnp.minimum(a, b))
         return jnp.minimum(gap, jnp.maximum(apart, jnp.abs(x * v - z * u) - across)), None
 
