@@ -151,6 +151,34 @@ def distance(
     return ways[node], node.astype(jnp.int32)
 
 
+def nearby(
+    field: GoalField,
+    obstacles: jax.Array,
+    radius: float,
+    position: jax.Array,
+    size: int,
+    near: float,
+) -> GoalField:
+    """Returns a field of no more than `size` nodes for measuring from places near a plan.
+
+    Args:
+      field: of the goals.
+      obstacles: float32 [N, 8].
+      radius: of the body.
+      position: float32 [2], a plan.
+      size: how many nodes to keep, those on the shortest ways.
+      near: metres from the plan within which nodes count that are not seen from it.
+    """
+    straight = _length(field.nodes - position)
+    seen = _ways(obstacles, radius, position, field.nodes) < jnp.inf
+    kept = jnp.where(seen | (straight <= near), straight + field.lengths, jnp.inf)
+    _, chosen = jax.lax.top_k(-kept, min(size, kept.shape[0]))
+    lengths = jnp.where(kept < jnp.inf, field.lengths, jnp.inf)
+    # Who sees nothing is led straight on, as by `distance`.
+    lengths = jnp.where(jnp.any(kept < jnp.inf), lengths, field.lengths)
+    return GoalField(field.nodes[chosen], lengths[chosen])
+
+
 def is_reachable(
     field: GoalField, obstacles: jax.Array, radius: float, position: jax.Array
 ) -> jax.Array:
@@ -190,29 +218,28 @@ def visible(obstacles: jax.Array, radii: jax.Array, start: jax.Array, end: jax.A
       start: float32 [..., 2].
       end: float32 [..., 2], may broadcast.
     """
+
     middle, half = (start + end) / 2, (end - start) / 2
 
-    def look(seen: jax.Array, obstacle: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
+    def look(gap: jax.Array, obstacle: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
         box, radius = obstacle
-        center, size, cosine, sine = box[CENTER], box[HALF_SIZE], box[COSINE], box[SINE]
-        x, z = middle[..., 0] - center[0], middle[..., 1] - center[2]
+        size_x, size_z, cosine, sine = box[3], box[5], box[COSINE], box[SINE]
+        x, z = middle[..., 0] - box[0], middle[..., 1] - box[2]
         x, z = cosine * x - sine * z, sine * x + cosine * z
         u = cosine * half[..., 0] - sine * half[..., 1]
         v = sine * half[..., 0] + cosine * half[..., 1]
-        diagonal = size[0] + size[2] + _ROOT * radius
         a, b = jnp.abs(u), jnp.abs(v)
-        across = size[0] * b + size[2] * a
+        apart = jnp.maximum(jnp.abs(x) - a - size_x, jnp.abs(z) - b - size_z) - radius
+        diagonal = jnp.maximum(jnp.abs(x + z) - jnp.abs(u + v), jnp.abs(x - z) - jnp.abs(u - v))
+        apart = jnp.maximum(apart, diagonal - (size_x + size_z + _ROOT * radius))
+        across = size_x * b + size_z * a
         across += radius * (jnp.maximum(a, b) + _EIGHTH * jnp.minimum(a, b))
-        apart = jnp.abs(x) >= size[0] + radius + a
-        apart |= jnp.abs(z) >= size[2] + radius + b
-        apart |= jnp.abs(x + z) >= diagonal + jnp.abs(u + v)
-        apart |= jnp.abs(x - z) >= diagonal + jnp.abs(u - v)
-        apart |= jnp.abs(x * v - z * u) >= across
-        return seen & apart, None
+        return jnp.minimum(gap, jnp.maximum(apart, jnp.abs(x * v - z * u) - across)), None
 
-    seen = jnp.ones(jnp.broadcast_shapes(start.shape, end.shape)[:-1], bool)
-    seen, _ = jax.lax.scan(look, seen, (obstacles, radii), unroll=8)
-    return seen
+    shape = jnp.broadcast_shapes(start.shape, end.shape)[:-1]
+    # The compiler makes vectors of numbers, but not of truths.
+    gap, _ = jax.lax.scan(look, jnp.zeros(shape, jnp.float32), (obstacles, radii), unroll=2)
+    return gap >= 0
 
 
 def _ways(obstacles: jax.Array, radius: float, start: jax.Array, nodes: jax.Array) -> jax.Array:

@@ -158,7 +158,9 @@ class ObjectNav(Task):
 
     def expert(self, key: jax.Array, task_state: ObjectNavState, state: HouseState) -> ExpertAction:
         """Returns the next action of a short search of somebody who knows where things are."""
-        action = walk(self.house, task_state.journey.field, state, key)
+        del key
+        journey = task_state.journey
+        action = walk(self.house, journey.field, state, journey.walked)
         if self.rule == "visible":
             wanted = self._wanted(task_state, state)
             turned, seen = look(self.house, self.sight, wanted, state)

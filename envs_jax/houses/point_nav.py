@@ -101,7 +101,9 @@ class PointNav(Task):
 
     def expert(self, key: jax.Array, task_state: PointNavState, state: HouseState) -> ExpertAction:
         """Returns the first action of a short way to the goal, or "end" there."""
-        action = walk(self.house, task_state.journey.field, state, key)
+        del key
+        journey = task_state.journey
+        action = walk(self.house, journey.field, state, journey.walked)
         end = self.house.actions.index("end")
         action = jnp.where(self.is_near(task_state.journey), end, action)
         return ExpertAction(action.astype(jnp.int32), jnp.bool_(True))
