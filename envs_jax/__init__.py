@@ -1,5 +1,6 @@
 """Worlds and tasks in pure JAX, built by `make(id)`."""
 
+from envs_jax import houses as houses
 from envs_jax import lighthouse as lighthouse
 from envs_jax import minigrid as minigrid
 from envs_jax import poisoned_doors as poisoned_doors
@@ -7,4 +8,4 @@ from envs_jax.registry import ids as ids
 from envs_jax.registry import make as make
 from envs_jax.registry import register as register
 
-__all__ = ["ids", "lighthouse", "make", "minigrid", "poisoned_doors", "register"]
+__all__ = ["houses", "ids", "lighthouse", "make", "minigrid", "poisoned_doors", "register"]

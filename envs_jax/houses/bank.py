@@ -29,6 +29,11 @@ class Scenes(ABC):
     def held_out(self) -> Scenes:
         """The houses to evaluate in."""
 
+    @property
+    @abstractmethod
+    def boxes(self) -> int:
+        """N, rows of each scene."""
+
     @abstractmethod
     def load(self) -> Scene:
         """Returns all houses, a scene with a leading axis [S]."""
@@ -63,6 +68,11 @@ class GeneratedScenes(Scenes):
             return self
         return replace(self, split="val", count=self.held_out_count)
 
+    @property
+    def boxes(self) -> int:
+        """As the style has it."""
+        return self.style.boxes
+
     def load(self) -> Scene:
         """Draws all houses."""
 
@@ -88,6 +98,11 @@ class ImportedScenes(Scenes):
     def held_out(self) -> ImportedScenes:
         """`evaluation`, if there is one."""
         return self if self.evaluation is None else self.evaluation
+
+    @property
+    def boxes(self) -> int:
+        """As the scenes have it."""
+        return int(self.scenes.boxes.shape[1])
 
     def load(self) -> Scene:
         """Returns `scenes`."""
