@@ -54,12 +54,14 @@ class Hits:
       depth: float32 [H, W], exact to float32's rounding.
       face: int32 [H, W]: 0 to 5 for the faces that look along +x, −x, +y, −y, +z, −z of the box's
         axes.
-      uv: float32 [H, W, 2], metres along the face; on floor and ceiling (x, z) of the house.
+      u: float32 [H, W], metres along the face, from its middle; on floor and ceiling the house's x.
+      v: float32 [H, W], metres across it, on upright faces upwards; on floor and ceiling z.
     """
 
     depth: jax.Array
     face: jax.Array
-    uv: jax.Array
+    u: jax.Array
+    v: jax.Array
 
 
 def look(camera: Camera, pose: Pose, scene: Scene) -> View:
@@ -123,7 +125,9 @@ def locate(camera: Camera, pose: Pose, scene: Scene, view: View) -> Hits:
     box = jnp.moveaxis(_seen_from(pose, scene.boxes)[row], -1, 0)
     enters, _ = _slabs(box, rays, 1 / (rays.y + _AJAR)[:, None])
     entry = [jnp.broadcast_to(enter, shape) for enter in enters]
-    axis = jnp.argmax(jnp.stack(entry), axis=0).astype(jnp.int32)
+    # Written out: XLA does not fuse an argmax with what goes on around it.
+    sideways = jnp.where(entry[0] >= entry[2], jnp.int32(0), jnp.int32(2))
+    axis = jnp.where(entry[1] > jnp.maximum(entry[0], entry[2]), jnp.int32(1), sideways)
     x, z = _turned(box, rays)
     direction = (x, jnp.broadcast_to(rays.y[:, None], shape), z)
     # The faces that a ray enters by look against it.
@@ -144,16 +148,13 @@ def locate(camera: Camera, pose: Pose, scene: Scene, view: View) -> Hits:
     v = _along((point[1], point[2], point[1]), axis)
     cosine, sine = jnp.cos(jnp.deg2rad(pose.yaw)), jnp.sin(jnp.deg2rad(pose.yaw))
     forward = rays.z[:, None]
-    plan = jnp.stack(
-        [
-            pose.position[0] + reach * (cosine * rays.x + sine * forward),
-            pose.position[2] + reach * (cosine * forward - sine * rays.x),
-        ]
-    )
+    plan_x = pose.position[0] + reach * (cosine * rays.x + sine * forward)
+    plan_z = pose.position[2] + reach * (cosine * forward - sine * rays.x)
     return Hits(
         depth=depth,
         face=jnp.where(on_box, faces, jnp.where(on_floor, jnp.int32(2), jnp.int32(3))),
-        uv=jnp.moveaxis(jnp.where(on_box, jnp.stack([u, v]), plan), 0, -1),
+        u=jnp.where(on_box, u, plan_x),
+        v=jnp.where(on_box, v, plan_z),
     )
 
 
