@@ -72,7 +72,7 @@ def problems(scene: Scene, body: Body, within: float = 1.0, resolution: float = 
     category = np.asarray(scene.category)
     targets = np.isin(category, [categories.index(name) for name in categories.ROBOTHOR_TARGETS])
     for row in np.nonzero((targets | np.asarray(scene.portable)) & np.asarray(scene.present))[0]:
-        if not _seen(np.asarray(scene.boxes, np.float64), row, places, body, within):
+        if not _seen(np.asarray(scene.boxes, np.float64), int(row), places, body, within):
             found.append(f"the {categories.NAMES[category[row]]} of row {row} cannot be seen")
     return found
 

@@ -1,0 +1,1 @@
+"""Others' houses, maps and episodes, read from their files."""
