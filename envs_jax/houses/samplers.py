@@ -182,6 +182,8 @@ def _begin(
     place_key, choice_key, yaw_key = jax.random.split(key, 3)
     radius = house.body.radius
     places, free = free_places(place_key, scene, blocked, radius, starts.grid)
+    free, rows = jax.lax.top_k(free.astype(jnp.int32), _MEASURED)
+    places, free = places[rows], free > 0
     metres = jax.vmap(lambda place: distance(field, blocked, radius, place)[0])(places)
     can = free & jax.vmap(lambda place: is_reachable(field, blocked, radius, place))(places)
     # The goals of a field are its first nodes without any way left to go.

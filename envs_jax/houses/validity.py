@@ -71,8 +71,10 @@ def problems(scene: Scene, body: Body, within: float = 1.0, resolution: float = 
     places = np.stack([x[np.nonzero(free)[0]], z[np.nonzero(free)[1]]], axis=1)
     category = np.asarray(scene.category)
     targets = np.isin(category, [categories.index(name) for name in categories.ROBOTHOR_TARGETS])
-    for row in np.nonzero((targets | np.asarray(scene.portable)) & np.asarray(scene.present))[0]:
-        if not _seen(np.asarray(scene.boxes, np.float64), int(row), places, body, within):
+    wanted = (targets | np.asarray(scene.portable)) & np.asarray(scene.present)
+    boxes = np.asarray(scene.boxes, np.float64)
+    for row in np.nonzero(wanted)[0].tolist():
+        if not _seen(boxes, row, places, body, within):
             found.append(f"the {categories.NAMES[category[row]]} of row {row} cannot be seen")
     return found
 
