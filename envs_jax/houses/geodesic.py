@@ -220,14 +220,18 @@ def visible(obstacles: jax.Array, radii: jax.Array, start: jax.Array, end: jax.A
     """
 
     middle, half = (start + end) / 2, (end - start) / 2
+    # Taken apart here, so that every turn of the loop reads numbers that lie in a row.
+    middle_x, middle_z, half_x, half_z = (
+        ends[..., axis] for ends in (middle, half) for axis in (0, 1)
+    )
 
     def look(gap: jax.Array, obstacle: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
         box, radius = obstacle
         size_x, size_z, cosine, sine = box[3], box[5], box[COSINE], box[SINE]
-        x, z = middle[..., 0] - box[0], middle[..., 1] - box[2]
+        x, z = middle_x - box[0], middle_z - box[2]
         x, z = cosine * x - sine * z, sine * x + cosine * z
-        u = cosine * half[..., 0] - sine * half[..., 1]
-        v = sine * half[..., 0] + cosine * half[..., 1]
+        u = cosine * half_x - sine * half_z
+        v = sine * half_x + cosine * half_z
         a, b = jnp.abs(u), jnp.abs(v)
         apart = jnp.maximum(jnp.abs(x) - a - size_x, jnp.abs(z) - b - size_z) - radius
         diagonal = jnp.maximum(jnp.abs(x + z) - jnp.abs(u + v), jnp.abs(x - z) - jnp.abs(u - v))
