@@ -38,6 +38,8 @@ TASKS = ("point_nav", "object_nav")
 STYLES: dict[str, Style] = {"room": Room(), "apartment": Apartment(), "floor": Floor()}
 OBSERVATIONS = ("depth", "rgb", "semantic", "viewpoint", "collision", "last_action")
 _HORIZON = 500
+# Corners of a roadmap at most: of 256 houses of each style none had more.
+_NODES = {"room": 128, "apartment": 128, "floor": 256}
 
 
 @dataclass(frozen=True)
@@ -129,13 +131,15 @@ def navigation(
         to_point = replace(to_point, house=_erring(to_point.house, numbers, noisy))
         seen = _sensors(numbers, to_point.house, observation, resolution, scenes)
         goal = PointGoalSensor(numbers.point_goal)
-        points = PointNavSampler(to_point, scenes, Starts(), _HORIZON)
+        points = PointNavSampler(to_point, scenes, Starts(), _HORIZON, _NODES[style])
         return POMDP(to_point.house, to_point, points, {"point_goal": goal, **seen})
     to_object = presets.object_nav(platform)
     to_object = replace(to_object, house=_erring(to_object.house, numbers, noisy))
     seen = _sensors(numbers, to_object.house, observation, resolution, scenes)
     starts = Starts(least=0.0, pitch=numbers.object_pitch)
-    objects = ObjectNavSampler(to_object, scenes, starts=starts, horizon=_HORIZON)
+    objects = ObjectNavSampler(
+        to_object, scenes, starts=starts, horizon=_HORIZON, nodes=_NODES[style]
+    )
     wanted = ObjectGoalSensor(objects.targets)
     return POMDP(to_object.house, to_object, objects, {"object_goal": wanted, **seen})
 

@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 
 from envs_jax.houses.collision import obstacles as find_obstacles
-from envs_jax.houses.scene import CENTER, COSINE, HALF_SIZE, SINE, Scene, to_local
+from envs_jax.houses.scene import CENTER, COSINE, HALF_SIZE, NOWHERE, SINE, Scene, to_local
 from envs_jax.houses.state import Body
 
 # How much further out than the octagons their corners are taken, so that neither rounding nor a way
@@ -76,7 +76,8 @@ def build_roadmap(scene: Scene, body: Body, size: int = 192) -> Roadmap:
     """
     boxes = find_obstacles(scene.boxes, body)
     corners, sideways = _corners(boxes, body.radius + MARGIN)
-    useful = _outside(boxes, body.radius, corners)
+    somewhere = corners[:, 0] > NOWHERE / 2
+    useful = somewhere & _outside(boxes, body.radius, corners)
     for side in (-_PROBE, _PROBE):
         useful &= _outside(boxes, body.radius, corners + side * sideways)
     low, high = jnp.min(scene.rooms[:, :2], axis=0), jnp.max(scene.rooms[:, 2:], axis=0)

@@ -23,6 +23,9 @@ from envs_jax.houses.state import HouseState
 from jaxact.errors import JaxactError
 from jaxact.pomdp import Episode, PyTree, TaskSampler
 
+# From so many of the places that are free the way to the goal is measured.
+_MEASURED = 8
+
 
 @dataclass(frozen=True)
 class Starts:
