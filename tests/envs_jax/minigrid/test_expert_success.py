@@ -148,8 +148,8 @@ LOST = {
     "MiniGrid-ObstructedMaze-1Q-v0": 0.07,
     "MiniGrid-ObstructedMaze-2Dlhb-v0": 0.07,
     "MiniGrid-ObstructedMaze-2Q-v0": 0.03,
-    "BabyAI-MiniBossLevel-v0": 0.001,
-    "BabyAI-SynthS5R2-v0": 0.002,
+    "BabyAI-MiniBossLevel-v0": 0.0003,
+    "BabyAI-SynthS5R2-v0": 0.001,
 }
 EPISODES = 2000
 # In the others there is nothing to do, or the expert is meant to fail.
