@@ -6,6 +6,9 @@ the key of the door before it", and that into "pick up the box before the key". 
 comes first "drop it where it blocks nothing". Only this last subgoal is planned for, by `planner`.
 What stands in the way is chosen by where the walls and objects are, not by where in its region the
 agent is, so following the advice does not change it.
+
+In a crowded room there may be no cell in which something put down is in nobody's way. Any rule
+would in some such room move the same things to and fro for ever, so there it is left to chance.
 """
 
 from __future__ import annotations
@@ -20,7 +23,6 @@ from jax import lax
 
 from envs_jax.minigrid import planner, tiles
 from envs_jax.minigrid.environment import (
-    DOORS,
     DROP,
     FORWARD,
     LEFT,
@@ -66,8 +68,9 @@ class _Map:
       locks: other locked doors of which there is a key somewhere.
       sealed: locked doors of which there is none.
       loose: objects that may be taken away.
-      empty: cells in which something can be put down.
-      doors: doors, whatever their state.
+      free: cells in which something can be put down.
+      harmless: those of them in which it is in nobody's way.
+      some: a random half of all cells.
       near: cells that can be acted on without opening a lock.
       far: cells that can be acted on, if need be with the key in hand.
     """
@@ -78,8 +81,9 @@ class _Map:
     locks: Board
     sealed: Board
     loose: Board
-    empty: Board
-    doors: Board
+    free: Board
+    harmless: Board
+    some: Board
     near: Board
     far: Board
 
@@ -105,7 +109,7 @@ class _Step(NamedTuple):
     locks: Board
 
 
-def errand_expert(subgoal: Subgoal, state: GridState, height: int) -> ExpertAction:
+def errand_expert(key: jax.Array, subgoal: Subgoal, state: GridState, height: int) -> ExpertAction:
     """Advises the next action towards a subgoal.
 
     If the subgoal is within reach, doors without lock included, the advice is the first action of a
@@ -113,6 +117,7 @@ def errand_expert(subgoal: Subgoal, state: GridState, height: int) -> ExpertActi
     solves the task, but is not always the shortest solution.
 
     Args:
+      key: PRNG key, a fresh one at each step; it matters only in crowded rooms.
       subgoal: what is to be done.
       state: the world.
       height: cells of the grid along y.
@@ -120,17 +125,20 @@ def errand_expert(subgoal: Subgoal, state: GridState, height: int) -> ExpertActi
     Returns:
       An int32 action of `GridWorld`. It is not valid where no way was found.
     """
-    world = _survey(subgoal, state)
+    world = _survey(key, subgoal, state)
     return _advise(subgoal, world, _within_reach(subgoal, world, state), state, height)
 
 
-def first_errand_expert(subgoals: Sequence[Subgoal], state: GridState, height: int) -> ExpertAction:
+def first_errand_expert(
+    key: jax.Array, subgoals: Sequence[Subgoal], state: GridState, height: int
+) -> ExpertAction:
     """Advises the next action towards the first subgoal for which there is something to do.
 
     To put down what is held, so as to see what can be done then, counts only where that has to be.
     Where nothing counts, the advice is that of `errand_expert` for the very first subgoal.
 
     Args:
+      key: PRNG key; see `errand_expert`.
       subgoals: what is to be done, most wanted first.
       state: the world.
       height: cells of the grid along y.
@@ -140,7 +148,7 @@ def first_errand_expert(subgoals: Sequence[Subgoal], state: GridState, height: i
     """
 
     def prepare(subgoal: Subgoal) -> tuple[Subgoal, _Map, _Step]:
-        world = _survey(subgoal, state)
+        world = _survey(key, subgoal, state)
         return subgoal, world, _within_reach(subgoal, world, state)
 
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *subgoals)
@@ -158,9 +166,9 @@ def _advise(
     must_drop = hands_full & (
         ~_any(step.cells) | (step.action == PICKUP) & _any(step.cells & world.near)
     )
-    stands = subgoal.stands & (step.action == subgoal.action)
-    goals = jnp.where(stands, planner.standing(step.cells), planner.facing(step.cells))
-    goals = jnp.where(must_drop, _drop_poses(subgoal, step.cells, world), goals)
+    target = jnp.where(must_drop, _drop_cells(subgoal, step.cells, world), step.cells)
+    stands = subgoal.stands & (step.action == subgoal.action) & ~must_drop
+    goals = jnp.where(stands, planner.standing(target), planner.facing(target))
     terrain = Terrain(
         open=world.walkable[None],
         slow=(world.closed | world.fitting)[None],
@@ -178,7 +186,7 @@ def _advise(
     return ExpertAction(action.astype(jnp.int32), plan.reached)
 
 
-def _survey(subgoal: Subgoal, state: GridState) -> _Map:
+def _survey(key: jax.Array, subgoal: Subgoal, state: GridState) -> _Map:
     cells = inner(state.tiles)
     kinds, colors = cells & tiles.TYPE_MASK, cells & _COLOR_MASK
     locked = kinds == tiles.LOCKED_DOOR
@@ -193,6 +201,8 @@ def _survey(subgoal: Subgoal, state: GridState) -> _Map:
     here = cell_board(state.position, subgoal.cells)
     near = spread(here, walkable | closed)
     far = spread(near, walkable | closed | fitting)
+    free = planner.pack(cells == tiles.EMPTY_TILE) & beside(near) & ~subgoal.forbidden
+    harmless = dispensable(walkable | closed | fitting | locks) & ~(subgoal.reserved | here)
     return _Map(
         walkable=walkable,
         closed=closed,
@@ -200,8 +210,9 @@ def _survey(subgoal: Subgoal, state: GridState) -> _Map:
         locks=locks,
         sealed=planner.pack(locked & ~fits & ~has_key),
         loose=jnp.where(subgoal.may_move, planner.pack(is_kind(cells, PORTABLE)), nothing),
-        empty=planner.pack(cells == tiles.EMPTY_TILE),
-        doors=planner.pack(is_kind(cells, DOORS)),
+        free=free,
+        harmless=free & harmless,
+        some=jax.random.bits(key, free.shape, free.dtype),
         near=near | beside(near),
         far=far | beside(far),
     )
@@ -237,6 +248,8 @@ def _within_reach(subgoal: Subgoal, world: _Map, state: GridState) -> _Step:
     # With the way cleared only once it is needed, what was picked up would be put down for it and
     # then picked up again, for ever.
     is_cut_off = _any(subgoal.destination) & ~_any(subgoal.destination & world.near)
+    # In a crowded room that order, too, would never come to an end, so at times it is reversed.
+    is_cut_off &= _any(world.harmless) | (world.some[0] & 1 != 0)
     can_be_done = jnp.where(subgoal.action == TOGGLE, subgoal.cells & ~world.sealed, subgoal.cells)
     first = _Step(
         cells=jnp.where(is_cut_off, subgoal.destination, can_be_done),
@@ -295,28 +308,16 @@ def _obstacles(step: _Step, world: _Map) -> Board:
     return jnp.where(_any(shut), shut, jnp.where(_any(past_objects), past_objects, past_locks))
 
 
-def _drop_poses(subgoal: Subgoal, cells: Board, world: _Map) -> Board:
-    """Returns word[4, H], the best poses there are to put down what is held.
-
-    In a crowded room no cell may be harmless. There it is put down from where `cells`, which come
-    next, can be acted on at once, so that they at least cannot be shut off: taking out of the way
-    one thing after the other then gets the agent through, even with no more room than for itself.
-    """
-    free = world.empty & world.near & ~subgoal.forbidden
-    harmless = free & dispensable(world.passable | world.locks)
-    off_the_way = ~(around(cells | subgoal.cells) | subgoal.reserved)
-    before_next = planner.standing(beside(cells))
-    standable = planner.standing(world.near & world.passable)
-    best = planner.facing(free)
-    # The best come last; before doors is the worst place in a crowded room.
+def _drop_cells(subgoal: Subgoal, cells: Board, world: _Map) -> Board:
+    """Returns the best cells there are to put down what is held, with `cells` to come next."""
+    best = world.free
+    # The best come last.
     for choice in (
-        planner.facing(free) & before_next,
-        planner.facing(free & ~beside(world.doors)) & before_next,
-        planner.facing(harmless) & before_next,
-        planner.facing(harmless & ~around(cells)),
-        planner.facing(harmless & off_the_way),
+        world.free & world.some,
+        world.harmless & ~around(cells),
+        world.harmless & ~around(cells | subgoal.cells),
     ):
-        best = jnp.where(_any(choice & standable), choice, best)
+        best = jnp.where(_any(choice), choice, best)
     return best
 
 

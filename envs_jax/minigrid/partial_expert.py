@@ -78,14 +78,13 @@ class PartialTask(Task):
 
     def expert(self, key: jax.Array, task_state: PartialState, state: GridState) -> ExpertAction:
         """Returns the next action of an agent that knows what this one has seen."""
-        del key
         known = _known(state, task_state.seen)
         kinds = inner(known.tiles) & tiles.TYPE_MASK
         is_own = inner(known.marks) & TRACKED_MASK != 0
         wanted = self.task.subgoal(task_state.task, known)
         unseen = _instead(wanted, planner.pack(kinds == tiles.UNSEEN), DONE)
         boxes = _instead(wanted, planner.pack((kinds == tiles.BOX) & ~is_own), TOGGLE)
-        return first_errand_expert([wanted, unseen, boxes], known, self.view.height)
+        return first_errand_expert(key, [wanted, unseen, boxes], known, self.view.height)
 
 
 @dataclass(frozen=True)

@@ -106,8 +106,7 @@ class RuleTask(Task):
 
         With the rule `PLAY` the advice is never valid.
         """
-        del key
-        return errand_expert(self.subgoal(task_state, state), state, self.height)
+        return errand_expert(key, self.subgoal(task_state, state), state, self.height)
 
     def subgoal(self, task_state: RuleState, state: GridState) -> Subgoal:
         """Returns what the rule wants next.

@@ -125,6 +125,8 @@ def instruction_subgoal(
     movable = things & loose
     # What is to be picked up, found or put something next to may be in hand.
     in_hand = jnp.where(is_put_next, holds_place & ~holds, holds_place | holds)
+    # A place is not put down where nothing can be put next to it.
+    no_room = jnp.where(in_hand, ~beside(empty), nothing)
     # A thing is not fetched before it is known where to.
     put_cells = jnp.select(
         [is_crowded, has_room & holds, has_room | in_hand], [edge & loose, room, movable], nothing
@@ -143,7 +145,7 @@ def instruction_subgoal(
             [jnp.int32(DROP), jnp.int32(PICKUP), jnp.int32(TOGGLE)],
             jnp.int32(DONE),
         ),
-        reserved=jnp.where(is_put_next, edge, nothing),
+        reserved=jnp.where(is_put_next, edge | no_room, nothing),
         destination=jnp.where(is_put_next & ~holds, room, nothing),
         fragile=jnp.where(is_strict & is_pick_up, boxes & ~things, nothing),
         must_drop=in_hand & jnp.all(wanted == 0),

@@ -153,8 +153,7 @@ class InstructionTask(Task):
         self, key: jax.Array, task_state: InstructionState, state: GridState
     ) -> ExpertAction:
         """Returns the next action towards the first clause not done; see `errand_expert`."""
-        del key
-        return errand_expert(self.subgoal(task_state, state), state, self.height)
+        return errand_expert(key, self.subgoal(task_state, state), state, self.height)
 
     def subgoal(self, task_state: InstructionState, state: GridState) -> Subgoal:
         """Returns what the first clause that counts and is not done wants next."""

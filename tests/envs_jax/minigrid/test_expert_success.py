@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,46 +12,16 @@ from grid_search import DONE, FORWARD, LEFT, RIGHT, Model, model_of
 from relaxed_search import Level, level_of
 
 import envs_jax
+from benchmarks.expert_success import follow
 from envs_jax.minigrid import tiles
 from envs_jax.minigrid.state import PADDING, GridState
 from jaxact.pomdp import POMDP, State
-
-
-class Record(NamedTuple):
-    """How episodes went, an entry each: whether with success, after how many steps, and whether the
-    expert abstained, which ends them here."""
-
-    won: np.ndarray
-    steps: np.ndarray
-    abstained: np.ndarray
 
 
 def reset(pomdp: POMDP, lanes: int) -> tuple[jax.Array, State]:
     """Returns keys and first states of so many episodes."""
     keys = jax.random.split(jax.random.key(2), lanes)
     return keys, jax.jit(jax.vmap(lambda key: pomdp.reset(key)[0]))(keys)
-
-
-def follow(pomdp: POMDP, keys: jax.Array, state: State) -> Record:
-    """Follows the expert to the end of each episode."""
-    step, advise = jax.vmap(pomdp.step), jax.vmap(pomdp.expert)
-
-    def once(carry: Any) -> Any:
-        state, over, won, abstained, steps, t = carry
-        drawn = jax.vmap(lambda key: jax.random.fold_in(key, t))(keys)
-        advice = advise(drawn, state)
-        abstained |= ~over & ~advice.valid
-        over |= abstained
-        state, result = step(drawn, state, advice.action)
-        won |= ~over & result.success
-        steps = jnp.where(over, steps, steps + 1)
-        return state, over | result.terminated | result.truncated, won, abstained, steps, t + 1
-
-    no = jnp.zeros(len(keys), bool)
-    begin = (state, no, no, no, jnp.zeros(len(keys), jnp.int32), jnp.int32(0))
-    run = jax.jit(lambda begin: jax.lax.while_loop(lambda c: ~jnp.all(c[1]), once, begin))
-    _, _, won, abstained, steps, _ = run(begin)
-    return Record(*map(np.asarray, (won, steps, abstained)))
 
 
 def without_sensors(name: str) -> POMDP:
@@ -179,8 +148,8 @@ LOST = {
     "MiniGrid-ObstructedMaze-1Q-v0": 0.07,
     "MiniGrid-ObstructedMaze-2Dlhb-v0": 0.07,
     "MiniGrid-ObstructedMaze-2Q-v0": 0.03,
-    "BabyAI-MiniBossLevel-v0": 0.001,
-    "BabyAI-SynthS5R2-v0": 0.002,
+    "BabyAI-MiniBossLevel-v0": 0.0003,
+    "BabyAI-SynthS5R2-v0": 0.001,
 }
 EPISODES = 2000
 # In the others there is nothing to do, or the expert is meant to fail.

@@ -11,9 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_expert_success import follow, reset
+from test_expert_success import reset
 
 import envs_jax
+from benchmarks.expert_success import follow
 from envs_jax.minigrid import planner, tiles
 from envs_jax.minigrid.environment import FORWARD, PICKUP, RIGHT, TOGGLE
 from envs_jax.minigrid.missions import encode_mission
