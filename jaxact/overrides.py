@@ -59,9 +59,15 @@ def numbers(config: Any) -> dict[str, float]:
     """Returns every Python float by its dotted path: the numbers one program can take as data.
 
     Bools and ints are structure, not data, and flax modules are not looked into, since a network's
-    numbers are compiled in.
+    numbers are compiled in. So are those of classes that have `numbers_are_structure = True`, for
+    example a camera's, from which Python computes before anything is compiled.
     """
-    found = _walk(config, "", lambda value: isinstance(value, nn.Module) or not _children(value))
+
+    def is_leaf(value: Any) -> bool:
+        fixed = getattr(type(value), "numbers_are_structure", False)
+        return fixed or isinstance(value, nn.Module) or not _children(value)
+
+    found = _walk(config, "", is_leaf)
     return {path: float(value) for path, value in found if isinstance(value, float)}
 
 

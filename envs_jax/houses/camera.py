@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -51,6 +52,8 @@ class Camera:
         were squeezed into another shape have pixels that are not square.
       near: metres of depth before which nothing is seen.
     """
+
+    numbers_are_structure: ClassVar[bool] = True
 
     height: int
     width: int

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -47,6 +48,8 @@ class House(Environment):
       noise: what moves and turns err by; None for nothing.
       reach: metres from the body's axis at which things are acted on.
     """
+
+    numbers_are_structure: ClassVar[bool] = True
 
     body: Body
     actions: tuple[str, ...]

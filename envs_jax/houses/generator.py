@@ -7,6 +7,7 @@ are in `floor_plans`, and why one can go everywhere in them in `furnishing`.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -43,6 +44,8 @@ class Style:
       kind: the kind of the only room; empty for any, and with several rooms by their size.
       boxes: rows of the scene.
     """
+
+    numbers_are_structure: ClassVar[bool] = True
 
     long_side: tuple[float, float]
     short_side: tuple[float, float]

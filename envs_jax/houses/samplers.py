@@ -6,7 +6,7 @@ Starts and goals are drawn with bounded work: many at once, and one of the good 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +38,8 @@ class Starts:
       grid: metres, starts are at multiples of it; 0 for anywhere.
       pitch: degrees down.
     """
+
+    numbers_are_structure: ClassVar[bool] = True
 
     least: float = 1.0
     greatest: float = 30.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import jax
 
@@ -18,6 +19,8 @@ class Body:
       height: metres; boxes that begin higher are no obstacle.
       camera_height: metres above the floor.
     """
+
+    numbers_are_structure: ClassVar[bool] = True
 
     radius: float
     height: float

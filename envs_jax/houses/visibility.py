@@ -16,6 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -54,6 +55,8 @@ class Sight:
       distance: metres, the greatest.
       instances: how many boxes of a category are looked at, the nearest in plan.
     """
+
+    numbers_are_structure: ClassVar[bool] = True
 
     field_of_view: float
     aspect: float

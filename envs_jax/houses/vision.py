@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -41,6 +42,8 @@ class DepthScale:
       deviation: metres.
     """
 
+    numbers_are_structure: ClassVar[bool] = True
+
     low: float
     high: float
     mean: float = 0.0
@@ -64,6 +67,8 @@ class CameraSensor(Sensor):
       camera: the camera.
       body: what carries it.
     """
+
+    numbers_are_structure: ClassVar[bool] = True
 
     camera: Camera
     body: Body
@@ -213,6 +218,8 @@ class MapSensor(Sensor):
       size: metres of a cell's edge.
       body: of the agent: what begins above its height is not in its way.
     """
+
+    numbers_are_structure: ClassVar[bool] = True
 
     cells: int
     size: float
