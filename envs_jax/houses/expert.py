@@ -26,7 +26,8 @@ def walk(house: House, field: GoalField, state: HouseState, walked: jax.Array) -
 
     Of all headings that turns lead to, it takes the one in which a step ahead leaves the shortest
     way. In a corner from which no step leads nearer it tries one at random, and sticks to it while
-    it turns there.
+    it turns there. That leads out of most corners, not of all: where moves that touch anything fail
+    and headings are few, it can stay in one until time is up.
 
     Args:
       house: the dynamics; noise is left out of account.
