@@ -6,7 +6,7 @@ import functools
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import flax.linen as nn
 import jax
@@ -229,3 +229,23 @@ def test_fingerprint_depends_on_content_only(experiment: Experiment) -> None:
         override(experiment, ["model.hidden=8"]),
     ]
     assert len({fingerprint(one) for one in [experiment, *others]}) == 4
+
+
+def test_numbers_of_structure_are_not_data():
+    @dataclass(frozen=True)
+    class Lens:
+        """Its angle is computed with before anything is compiled."""
+
+        numbers_are_structure: ClassVar[bool] = True
+
+        angle: float = 60.0
+
+    @dataclass(frozen=True)
+    class Camera:
+        lens: Lens
+        noise: float = 0.5
+
+    camera = Camera(Lens())
+    assert numbers(camera) == {"noise": 0.5}
+    # They can still be chosen, as sizes can.
+    assert override(camera, {"lens.angle": "90"}).lens.angle == 90.0

@@ -9,6 +9,7 @@ import pytest
 import envs_jax
 from envs_jax.houses import navigation
 from jaxact.errors import JaxactError
+from jaxact.overrides import numbers
 
 IDS = [name for name in envs_jax.ids() if name.endswith(("PointNav-v0", "ObjectNav-v0"))]
 
@@ -89,3 +90,11 @@ def test_experts_succeed_in_houses_held_out(name):
     assert success.all()
     # Turns of 90° and a grid make ways longer than the shortest.
     assert spl.mean() > (0.8 if "iTHOR" in name else 0.95)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_tasks_numbers_are_data_and_geometry_is_not(name):
+    pomdp = envs_jax.make(name)
+    found = numbers(pomdp)
+    assert {"task.shaping", "task.success_reward", "task.step_penalty"} <= found.keys()
+    assert not [path for path in found if path.startswith(("environment.", "sensors."))]

@@ -187,7 +187,8 @@ def object_episodes(task, count):
     return jax.vmap(begin)(starts, yaws)
 
 
-@pytest.mark.parametrize("name", ["robothor", pytest.param("habitat", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["robothor", "habitat"])
 def test_object_experts_find_a_mug_in_the_other_room(name):
     task = presets.object_nav(name)
     spl = follow(task, object_episodes(task, 8), 80)
