@@ -14,7 +14,6 @@ from envs_jax.houses.camera import Camera
 from envs_jax.houses.environment import House
 from envs_jax.houses.generator import Apartment, Floor, Room, Style
 from envs_jax.houses.noise import preset as noise_preset
-from envs_jax.houses.rerendering import ViewpointSensor
 from envs_jax.houses.samplers import ObjectNavSampler, PointNavSampler, Starts
 from envs_jax.houses.sensors import (
     CollisionSensor,
@@ -22,6 +21,7 @@ from envs_jax.houses.sensors import (
     ObjectGoalSensor,
     PointGoalSensor,
 )
+from envs_jax.houses.viewpoint import ViewpointSensor
 from envs_jax.houses.vision import (
     ALLENACT_DEPTH,
     HABITAT_DEPTH,
@@ -101,7 +101,7 @@ def navigation(
       platform: "robothor", "ithor" or "habitat".
       task: "point_nav" or "object_nav".
       observation: what is sensed beside the goal, out of "depth", "rgb", "semantic", "viewpoint"
-        (for frames that the model renders, see `Rerendered`), "collision" and "last_action";
+        (for frames that the model renders, see `rerendering`), "collision" and "last_action";
         nothing for a blind agent.
       resolution: pixels along each edge of a frame.
       style: "room", "apartment" or "floor"; by default what is most like the platform's own.

@@ -129,6 +129,7 @@ def test_distances_hold_in_many_houses(measure):
     check(measure, range(1, 13))
 
 
+@pytest.mark.slow
 def test_distances_are_a_metric_and_paths_have_their_length(measure):
     _, _, (scene, starts, goals, metres, ways, both) = compare(measure, 3)
     _, back, reachable, _ = measure(scene, goals, starts)

@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from envs_jax.houses.camera import Camera
-from envs_jax.houses.rerendering import Rerendered, ViewpointSensor
+from envs_jax.houses.rerendering import Rerendered
+from envs_jax.houses.viewpoint import ViewpointSensor
 from envs_jax.houses.vision import DepthSensor, RGBSensor, SemanticSensor
 from tests.envs_jax.houses.random_scenes import BODY, state
 

@@ -117,6 +117,7 @@ def test_sensors_share_the_rays_of_a_camera(states) -> None:
     assert count_loops(shared) == 1
 
 
+@pytest.mark.slow
 def test_readings_do_not_depend_on_the_batch(states, readings) -> None:
     @jax.jit
     @jax.vmap
@@ -232,6 +233,7 @@ def test_the_map_shows_what_stands_around(states) -> None:
                 assert grid[row, column] == (outside < 0)
 
 
+@pytest.mark.slow
 def test_pictures(states) -> None:
     state = states[0]
     assert all(isinstance(sensor, Pictured) for sensor in SENSORS.values())

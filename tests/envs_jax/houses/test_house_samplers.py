@@ -47,6 +47,7 @@ def _fits(state) -> jax.Array:
     return is_free(obstacles(state.scene.boxes, BODY), BODY.radius, state.position)
 
 
+@pytest.mark.slow
 def test_object_nav_in_imported_houses() -> None:
     houses = stack([cluttered(0), cluttered(1)])
     task = ObjectNav(HOUSE)
