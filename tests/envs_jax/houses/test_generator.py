@@ -28,6 +28,7 @@ _generate = jax.jit(
 )
 
 
+@pytest.mark.slow
 def test_apartments_are_sound() -> None:
     drawn = houses(generator.Apartment(), "train", 0, 8)
     for i, scene in enumerate(drawn):
