@@ -38,7 +38,7 @@ TASKS = ("point_nav", "object_nav")
 STYLES: dict[str, Style] = {"room": Room(), "apartment": Apartment(), "floor": Floor()}
 OBSERVATIONS = ("depth", "rgb", "semantic", "viewpoint", "collision", "last_action")
 _HORIZON = 500
-# Corners of a roadmap at most: of 256 houses of each style none had more.
+# Corners of a roadmap at most; of 128 houses of each style none had more.
 _NODES = {"room": 128, "apartment": 128, "floor": 256}
 
 
