@@ -1,11 +1,12 @@
-"""The lines of JSON of the benchmark of worlds: read back, compared with each other, summed up."""
+"""The lines of JSON of benchmarks: printed, read back, compared with each other, summed up."""
 
 from __future__ import annotations
 
 import json
 import statistics
+import sys
 from collections.abc import Iterable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,15 @@ def read(path: Path) -> list[Line]:
             with suppress(json.JSONDecodeError):
                 lines.append(json.loads(text))
     return lines
+
+
+def print_lines(lines: Iterable[Line], output: Path | None) -> None:
+    """Prints each line as soon as it is there, and writes it to a file, too, if there is one."""
+    with output.open("w", encoding="utf-8") if output else nullcontext() as file:
+        for line in lines:
+            for stream in (sys.stdout, file):
+                if stream is not None:
+                    print(json.dumps(line), file=stream, flush=True)
 
 
 def by_world(lines: Iterable[Line]) -> Worlds:

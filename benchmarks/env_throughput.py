@@ -15,7 +15,7 @@ import statistics
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, nullcontext, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -24,7 +24,7 @@ from typing import IO, Self
 
 import tyro
 
-from benchmarks.env_lines import Line, Worlds, by_world, ratios, read, summaries
+from benchmarks.env_lines import Line, Worlds, by_world, print_lines, ratios, read, summaries
 from benchmarks.env_systems import PEERS, SYSTEMS, Job
 from jaxact.errors import JaxactError, unknown
 
@@ -138,11 +138,7 @@ def main() -> None:
     try:
         lines = measure(arguments, read(arguments.output) if arguments.output else [])
         first = next(lines)  # All has been checked then, and the file may be written anew.
-        with arguments.output.open("w") if arguments.output else nullcontext() as file:
-            for line in chain([first], lines):
-                for stream in (sys.stdout, file):
-                    if stream is not None:
-                        print(json.dumps(line), file=stream, flush=True)
+        print_lines(chain([first], lines), arguments.output)
     except JaxactError as error:
         print(f"{PROGRAM}: {error}", file=sys.stderr)
         sys.exit(2)

@@ -6,11 +6,9 @@ valid. Prints a line of JSON for each world.
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +19,7 @@ import numpy as np
 import tyro
 
 import envs_jax
-from benchmarks.env_lines import Line, read
+from benchmarks.env_lines import Line, print_lines, read
 from jaxact.errors import JaxactError
 from jaxact.pomdp import POMDP, State
 
@@ -66,12 +64,8 @@ def main() -> None:
     arguments = tyro.cli(Arguments, prog=f"python -m {PROGRAM}")
     try:
         ids = check(arguments)
-        lines = measure(arguments, ids, read(arguments.output) if arguments.output else [])
-        with arguments.output.open("w") if arguments.output else nullcontext() as file:
-            for line in lines:
-                for stream in (sys.stdout, file):
-                    if stream is not None:
-                        print(json.dumps(line), file=stream, flush=True)
+        before = read(arguments.output) if arguments.output else []
+        print_lines(measure(arguments, ids, before), arguments.output)
     except JaxactError as error:
         print(f"{PROGRAM}: {error}", file=sys.stderr)
         sys.exit(2)

@@ -6,7 +6,6 @@ by a program compiled ahead of time. Prints a line of JSON for the machine and o
 
 from __future__ import annotations
 
-import json
 import statistics
 import sys
 import time
@@ -22,7 +21,7 @@ import tyro
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 import envs_jax
-from benchmarks.env_lines import Line
+from benchmarks.env_lines import Line, print_lines
 from benchmarks.env_worker import machine
 from jaxact.errors import JaxactError
 from jaxact.pomdp import POMDP, State
@@ -64,8 +63,7 @@ def main() -> None:
         print(f"{PROGRAM}: {error}", file=sys.stderr)
         sys.exit(2)
     jax.config.update("jax_num_cpu_devices", arguments.devices)
-    for line in measure(arguments):
-        print(json.dumps(line), flush=True)
+    print_lines(measure(arguments), None)
 
 
 def check(arguments: Arguments) -> None:

@@ -7,12 +7,10 @@ falls on all alike. Prints lines of JSON: the machine, then one for each system 
 
 from __future__ import annotations
 
-import json
 import os
 import statistics
 import sys
 from collections.abc import Iterator
-from contextlib import nullcontext
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -21,7 +19,7 @@ from typing import Any
 import jax
 import tyro
 
-from benchmarks.env_lines import Line
+from benchmarks.env_lines import Line, print_lines
 from benchmarks.env_systems import Facts, Running, Unsupported
 from benchmarks.env_worker import machine
 from benchmarks.house_systems import PEERS, READINGS, SYSTEMS, Job
@@ -68,11 +66,7 @@ def main() -> None:
     jax.config.update("jax_num_cpu_devices", arguments.devices or os.cpu_count() or 1)
     # Shardy of jaxlib 0.10 cannot compile philox ("Unable to convert MHLO to StableHLO").
     jax.config.update("jax_use_shardy_partitioner", False)
-    with arguments.output.open("w") if arguments.output else nullcontext() as file:
-        for line in measure(arguments):
-            for stream in (sys.stdout, file):
-                if stream is not None:
-                    print(json.dumps(line), file=stream, flush=True)
+    print_lines(measure(arguments), arguments.output)
 
 
 def check(arguments: Arguments) -> None:

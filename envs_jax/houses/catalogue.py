@@ -12,7 +12,7 @@ from envs_jax.houses import presets
 from envs_jax.houses.bank import GeneratedScenes, Scenes
 from envs_jax.houses.camera import Camera
 from envs_jax.houses.environment import House
-from envs_jax.houses.generator import Apartment, Floor, Room, Style
+from envs_jax.houses.generator import APARTMENT, FLOOR, ROOM, Style
 from envs_jax.houses.noise import preset as noise_preset
 from envs_jax.houses.samplers import ObjectNavSampler, PointNavSampler, Starts
 from envs_jax.houses.sensors import (
@@ -35,7 +35,7 @@ from jaxact.errors import JaxactError, unknown
 from jaxact.pomdp import POMDP, Sensor
 
 TASKS = ("point_nav", "object_nav")
-STYLES: dict[str, Style] = {"room": Room(), "apartment": Apartment(), "floor": Floor()}
+STYLES: dict[str, Style] = {"room": ROOM, "apartment": APARTMENT, "floor": FLOOR}
 OBSERVATIONS = ("depth", "rgb", "semantic", "viewpoint", "collision", "last_action")
 _HORIZON = 500
 # Corners of a roadmap at most; of 128 houses of each style none had more.

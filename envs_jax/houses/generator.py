@@ -55,8 +55,8 @@ class Style:
     furniture: int
     on_floor: tuple[str, ...]
     on_furniture: tuple[str, ...]
-    kind: str
-    boxes: int
+    kind: str = ""
+    boxes: int = 64
 
     def __post_init__(self) -> None:
         if not 1 <= self.rooms[0] <= self.rooms[1] <= MOST_ROOMS:
@@ -76,61 +76,49 @@ class Style:
             categories.index(name)
 
 
-@dataclass(frozen=True)
-class Room(Style):
-    """A single room, as iTHOR's kitchens, living rooms, bedrooms and bathrooms."""
-
-    long_side: tuple[float, float] = (3.6, 7.0)
-    short_side: tuple[float, float] = (3.0, 5.0)
-    rooms: tuple[int, int] = (1, 1)
-    widest_door: float = 0.9
-    lintels: bool = False
-    furniture: int = MOST_SLOTS
-    on_floor: tuple[str, ...] = _ON_FLOOR
-    on_furniture: tuple[str, ...] = (
+# A single room, as iTHOR's kitchens, living rooms, bedrooms and bathrooms.
+ROOM = Style(
+    long_side=(3.6, 7.0),
+    short_side=(3.0, 5.0),
+    rooms=(1, 1),
+    widest_door=0.9,
+    lintels=False,
+    furniture=MOST_SLOTS,
+    on_floor=_ON_FLOOR,
+    on_furniture=(
         *_ON_FURNITURE,
         *("Book", "Box", "Bread", "Candle", "CellPhone", "CoffeeMachine", "Cup", "HousePlant"),
         *("Microwave", "Pan", "Pillow", "Plate", "Pot", "RemoteControl", "Statue", "TeddyBear"),
         *("Toaster", "Tomato"),
-    )
-    kind: str = ""
-    boxes: int = 64
-
-
-@dataclass(frozen=True)
-class Apartment(Style):
-    """A flat with thin partitions with gaps in them, as RoboTHOR's."""
-
-    long_side: tuple[float, float] = (7.5, 9.5)
-    short_side: tuple[float, float] = (4.0, 5.0)
-    rooms: tuple[int, int] = (3, 4)
-    widest_door: float = 1.6
-    lintels: bool = False
-    furniture: int = 8
-    on_floor: tuple[str, ...] = _ON_FLOOR
-    on_furniture: tuple[str, ...] = (*_ON_FURNITURE, "Book")
-    kind: str = ""
-    boxes: int = 64
-
-
-@dataclass(frozen=True)
-class Floor(Style):
-    """A floor of several rooms with doorways, as ProcTHOR's houses and Habitat's scans."""
-
-    long_side: tuple[float, float] = (7.0, 13.0)
-    short_side: tuple[float, float] = (5.0, 10.0)
-    rooms: tuple[int, int] = (3, 8)
-    widest_door: float = 1.2
-    lintels: bool = True
-    furniture: int = 8
-    on_floor: tuple[str, ...] = (*_ON_FLOOR, "Box")
-    on_furniture: tuple[str, ...] = (
+    ),
+)
+# A flat with thin partitions with gaps in them, as RoboTHOR's.
+APARTMENT = Style(
+    long_side=(7.5, 9.5),
+    short_side=(4.0, 5.0),
+    rooms=(3, 4),
+    widest_door=1.6,
+    lintels=False,
+    furniture=8,
+    on_floor=_ON_FLOOR,
+    on_furniture=(*_ON_FURNITURE, "Book"),
+)
+# A floor of several rooms with doorways, as ProcTHOR's houses and Habitat's scans.
+FLOOR = Style(
+    long_side=(7.0, 13.0),
+    short_side=(5.0, 10.0),
+    rooms=(3, 8),
+    widest_door=1.2,
+    lintels=True,
+    furniture=8,
+    on_floor=(*_ON_FLOOR, "Box"),
+    on_furniture=(
         *_ON_FURNITURE,
         *("Book", "Book", "Bread", "Candle", "CellPhone", "Cup", "Microwave", "Pillow", "Plate"),
         *("Pot", "RemoteControl", "Statue", "TeddyBear", "Toaster"),
-    )
-    kind: str = ""
-    boxes: int = 128
+    ),
+    boxes=128,
+)
 
 
 def scene_key(split: str, index: jax.Array | int) -> jax.Array:

@@ -6,7 +6,7 @@ Starts and goals are drawn with bounded work: many at once, and one of the good 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -194,23 +194,18 @@ def _begin(
     # The goals of a field are its first nodes without any way left to go.
     goals = jnp.where(field.lengths[:, None] <= 0, field.nodes, jnp.inf)
     crow = jnp.sqrt(jnp.min(jnp.sum((places[:, None] - goals) ** 2, axis=-1), axis=1))
-    least, greatest = _number(starts.least), _number(starts.greatest)
-    good = can & (metres >= least) & (metres <= greatest) & (metres >= _number(starts.ratio) * crow)
+    long_enough = (metres >= starts.least) & (metres >= jnp.float32(starts.ratio) * crow)
+    good = can & long_enough & (metres <= starts.greatest)
     # If none is good, one whose way is as nearly so long as can be.
-    beyond = jnp.maximum(jnp.maximum(least - metres, metres - greatest), 0)
+    beyond = jnp.maximum(jnp.maximum(starts.least - metres, metres - starts.greatest), 0)
     nearest = jnp.argmin(jnp.where(can, beyond, jnp.where(free, 1e6, 1e9)))
     chosen = jnp.where(jnp.any(good), _choose(choice_key, good), nearest)
     headings = round(360 / house.turn)
     turns = jax.random.randint(yaw_key, (), 0, headings, jnp.int32).astype(jnp.float32)
-    yaw = turns * _number(house.turn)
-    return house.start(scene, places[chosen], yaw, _number(starts.pitch))
+    return house.start(scene, places[chosen], turns * jnp.float32(house.turn), starts.pitch)
 
 
 def _choose(key: jax.Array, good: jax.Array) -> jax.Array:
     """Returns the int32 row of one that is true, each equally likely."""
     draws = jax.random.uniform(key, good.shape, jnp.float32)
     return jnp.argmax(jnp.where(good, draws, -1.0)).astype(jnp.int32)
-
-
-def _number(value: Any) -> jax.Array:
-    return jnp.asarray(value, jnp.float32)

@@ -30,7 +30,7 @@ _generate = jax.jit(
 
 @pytest.mark.slow
 def test_apartments_are_sound() -> None:
-    drawn = houses(generator.Apartment(), "train", 0, 8)
+    drawn = houses(generator.APARTMENT, "train", 0, 8)
     for i, scene in enumerate(drawn):
         assert validity.problems(scene, WIDEST, resolution=0.1) == [], i
         assert scene.boxes.shape == (64, 8)
@@ -42,7 +42,7 @@ def test_apartments_are_sound() -> None:
     found = {name for scene in drawn for name in np.asarray(categories.NAMES)[scene.category]}
     assert found >= set(categories.ROBOTHOR_TARGETS)
     # Drawn one by one or together, now or later, a scene is the same.
-    again = houses(generator.Apartment(), "train", 0, 8)
+    again = houses(generator.APARTMENT, "train", 0, 8)
     for one, other in zip(drawn, again, strict=True):
         jax.tree.map(np.testing.assert_array_equal, one, other)
     assert len({scene.boxes.tobytes() for scene in drawn}) == 8
@@ -60,7 +60,7 @@ def test_splits_have_keys_of_their_own() -> None:
 
 
 def test_validity_finds_what_is_wrong() -> None:
-    scene = houses(generator.Apartment(), "train", 0, 8)[0]
+    scene = houses(generator.APARTMENT, "train", 0, 8)[0]
     room = scene.rooms[0]
     # A wall across everything cuts the free space; what is on a wall that high is out of sight.
     across = np.array([(room[0] + room[2]) / 2, 1, 0, 0.05, 1, 20, 1, 0], np.float32)
@@ -91,16 +91,16 @@ def test_validity_finds_what_is_wrong() -> None:
 )
 def test_styles_are_checked(changes: dict, said: str) -> None:
     with pytest.raises(JaxactError, match=said):
-        generator.Apartment(**changes)
+        dataclasses.replace(generator.APARTMENT, **changes)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("style", "count"),
     [
-        (generator.Room(), 4000),
-        (generator.Apartment(), 4000),
-        (generator.Floor(), 2000),
+        (generator.ROOM, 4000),
+        (generator.APARTMENT, 4000),
+        (generator.FLOOR, 2000),
     ],
     ids=["room", "apartment", "floor"],
 )

@@ -11,7 +11,7 @@ from envs_jax.houses import categories
 from envs_jax.houses.bank import GeneratedScenes, ImportedScenes, stack
 from envs_jax.houses.collision import is_free, obstacles
 from envs_jax.houses.environment import House
-from envs_jax.houses.generator import Apartment
+from envs_jax.houses.generator import APARTMENT
 from envs_jax.houses.object_nav import ObjectNav
 from envs_jax.houses.point_nav import PointNav
 from envs_jax.houses.samplers import ObjectNavSampler, PointNavSampler, Starts
@@ -62,13 +62,13 @@ def test_object_nav_in_imported_houses() -> None:
 
 
 def test_held_out_houses_are_others() -> None:
-    scenes = GeneratedScenes(Apartment(), count=3, held_out_count=2)
+    scenes = GeneratedScenes(APARTMENT, count=3, held_out_count=2)
     sampler = PointNavSampler(PointNav(HOUSE), scenes)
     assert sampler.held_out.scenes == dataclasses.replace(scenes, split="val", count=2)
     assert sampler.held_out.held_out == sampler.held_out
     assert hash(sampler) != hash(sampler.held_out)
     with pytest.raises(JaxactError, match="unknown split"):
-        GeneratedScenes(Apartment(), split="dev")
+        GeneratedScenes(APARTMENT, split="dev")
     with pytest.raises(JaxactError, match="at least one"):
         stack([])
 
@@ -76,7 +76,7 @@ def test_held_out_houses_are_others() -> None:
 @pytest.mark.slow
 def test_ways_are_as_long_as_in_robothor() -> None:
     """RoboTHOR's: 3.77 m on average in its training split, 3.37 m in the validation split."""
-    scenes = GeneratedScenes(Apartment(), count=64)
+    scenes = GeneratedScenes(APARTMENT, count=64)
     sampler = ObjectNavSampler(ObjectNav(HOUSE), scenes)
     bank = jax.jit(sampler.init)(jax.random.key(0))
     assert not np.asarray(bank.bank.roadmaps.overflow).any()
