@@ -1,21 +1,28 @@
 """Turns finished runs into `docs/results/<experiment>.json` and one figure of their curves.
 
-Run `python -m benchmarks.results RUN [RUN ...]`: each run becomes a file with the command that
-makes it, the commit, the seed, versions, the training curve and the held-out evaluations with their
-intervals; `docs/results/<figure>.png` and `.svg` show success against steps for all of them.
+Run `python -m benchmarks.results RUN [RUN ...]`: the runs of an experiment, which differ in the
+seed, become a file with the commit, versions and, of each run, the command that makes it, the
+training curve and the held-out evaluations with their intervals; `docs/results/<figure>.png` and
+`.svg` show success against steps for all of them.
 """
 
 from __future__ import annotations
 
 import json
+import statistics
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import tyro
 
+from jaxact.errors import JaxactError
+from jaxact.statistics import mean_interval
+
 RESULTS = Path(__file__).resolve().parent.parent / "docs" / "results"
 CURVE_POINTS = 60
+SHOWN = ("train/success", "train/return", "train/length")
 
 
 @dataclass(frozen=True)
@@ -39,8 +46,7 @@ def main() -> None:
     arguments = tyro.cli(Arguments)
     arguments.output.mkdir(parents=True, exist_ok=True)
     files = []
-    for run in arguments.runs:
-        result = result_of(run, arguments.commit)
+    for result in results_of(arguments.runs, arguments.commit):
         files.append(arguments.output / f"{result['name']}.json")
         files[-1].write_text(json.dumps(result, indent=1) + "\n")
         print(files[-1])
@@ -48,36 +54,76 @@ def main() -> None:
     print(*figure.save(arguments.output / f"{arguments.figure}.png"))
 
 
-def result_of(run: Path, commit: str) -> dict[str, Any]:
-    """Describes a finished run."""
-    from jaxact.logs import read_metrics
+def results_of(runs: Iterable[Path], commit: str) -> list[dict[str, Any]]:
+    """Describes finished runs, those of an experiment together and in the order of their seeds.
+
+    Raises:
+      JaxactError: two runs have the same experiment's name but not its values, or the same seed.
+    """
     from jaxact.runs import read_config
 
-    config = read_config(run)
+    experiments: dict[str, list[tuple[Path, dict[str, Any]]]] = {}
+    for run in runs:
+        config = read_config(run)
+        experiments.setdefault(config["experiment"]["name"], []).append((run, config))
+    results = []
+    for name, those in experiments.items():
+        those.sort(key=lambda one: one[1]["seed"])
+        seeds = [config["seed"] for _, config in those]
+        prints = {config["fingerprint"] for _, config in those}
+        if len(prints) > 1 or len(set(seeds)) < len(seeds):
+            raise JaxactError(
+                f"the runs of {name} should differ in the seed and in nothing else; they have "
+                f"{len(prints)} sets of values and seeds {seeds}"
+            )
+        described = [_described(run, config) for run, config in those]
+        results.append(
+            {
+                "name": name,
+                "commit": commit,
+                "fingerprint": prints.pop(),
+                "versions": json.loads((those[0][0] / "versions.json").read_text()),
+                "seeds": seeds,
+                "final": _over_seeds([run["evaluations"][-1] for run in described]),
+                "runs": described,
+            }
+        )
+    return results
+
+
+def _described(run: Path, config: dict[str, Any]) -> dict[str, Any]:
+    from jaxact.logs import read_metrics
+
     rows = [row for row in read_metrics(run) if "train/success" in row]
     stride = max(1, len(rows) // CURVE_POINTS)
-    shown = ("train/success", "train/return", "train/length")
     evaluations = [json.loads(p.read_text()) for p in sorted((run / "evaluation").glob("*.json"))]
     options = "".join(f" --set {text}" for text in config["overrides"])
     trained = int(rows[-1]["step"])
     if trained < sum(stage["steps"] for stage in config["experiment"]["pipeline"]["stages"]):
         options += f" --total-steps {trained}"
     return {
-        "name": config["experiment"]["name"],
         "command": f"python -m jaxact.train {Path(config['source']).stem} "
         f"--seed {config['seed']}{options}",
+        "seed": config["seed"],
         "trained_steps": trained,
-        "commit": commit,
-        "fingerprint": config["fingerprint"],
-        "seeds": [config["seed"]],
-        "versions": json.loads((run / "versions.json").read_text()),
         "curve": {
             "step": [row["step"] for row in rows[::stride]],
-            **{n: [round(row[n], 5) for row in rows[::stride]] for n in shown},
+            **{name: [round(row[name], 5) for row in rows[::stride]] for name in SHOWN},
         },
         "evaluations": evaluations,
-        "final": evaluations[-1],
     }
+
+
+def _over_seeds(evaluations: list[dict[str, Any]]) -> dict[str, Any]:
+    """Returns the means over seeds of the last evaluations, with Student's 95 % intervals."""
+    final: dict[str, Any] = {"step": evaluations[0]["step"]}
+    for name in SHOWN:
+        short = name.partition("/")[2]
+        values = [evaluation[short]["mean"] for evaluation in evaluations]
+        final[short] = {"mean": statistics.fmean(values), "each": values}
+        if len(values) > 1:
+            final[short]["interval"] = mean_interval(values)
+    return final
 
 
 if __name__ == "__main__":

@@ -1,21 +1,24 @@
-"""BabyAI-GoToLocal from demonstrations alone: behaviour cloning off the policy, without a world.
+r"""BabyAI-GoToLocal from demonstrations alone: behaviour cloning off the policy, without a world.
 
-python -m jaxact.collect BabyAI-GoToLocal-v0 --episodes 1000000 --output demonstrations/gotolocal
+python -m jaxact.collect examples/babyai_gotolocal_bc_offline.py --episodes 1000000 \
+    --output demonstrations/gotolocal
 python -m jaxact.train examples/babyai_gotolocal_bc_offline.py
 """
 
 import envs_jax
+from envs_jax.minigrid.partial_expert import partially_observing
 from jaxact import Experiment, Stage, TrainingPipeline
 from jaxact.losses import Imitation
 from jaxact.models import GRU, ActorCritic, InstructedGrid
 from jaxact.schedules import Linear
 from jaxact.storages import DemonstrationStorage
 
-pomdp = envs_jax.make("BabyAI-GoToLocal-v0")
+# Like BabyAI's own expert, this one knows no more of the room than the agent has seen.
+pomdp = partially_observing(envs_jax.make("BabyAI-GoToLocal-v0"))
 demonstrations = DemonstrationStorage(
     losses={"imitation": Imitation()},
     path="demonstrations/gotolocal",
-    lanes=128,
+    lanes=64,
     length=16,
     updates=8,
 )

@@ -16,11 +16,11 @@ experiment = Experiment(
     pomdp=pomdp,
     model=ActorCritic(pomdp.action_space, InstructedGrid(), GRU(128)),
     pipeline=TrainingPipeline(
-        stages=(Stage(losses={"ppo": PPO(clip=0.2)}, steps=4_000_000),),
+        stages=(Stage(losses={"ppo": PPO(clip=0.2)}, steps=2_000_000),),
         lanes=512,
         rollout_length=16,
-        epochs=2,
-        minibatches=4,
-        learning_rate=Linear(1e-3, 1e-4, steps=4e6),
+        epochs=4,
+        minibatches=8,
+        learning_rate=Linear(1e-3, 1e-4, steps=2e6),
     ),
 )

@@ -18,7 +18,7 @@ from jaxact.logs import METRICS, read_hours, read_metrics
 from jaxact.runs import CONFIG, open_run, read_config
 
 EVALUATION = "evaluation"
-_RESULT = {"name", "commit", "seeds", "curve", "evaluations"}
+_RESULT = {"name", "fingerprint", "runs"}
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class RunCurves:
     Attributes:
       path: the run's directory, or the file of a committed result.
       name: the experiment's.
-      fingerprint: of the experiment; of a committed result without one, the commit.
+      fingerprint: of the experiment.
       seed: of everything random.
       experiment: the experiment's values as in `config.json`; of a committed result none.
       curves: by metric: the tags of `metrics.jsonl`; "evaluation/success" and its like of the
@@ -109,18 +109,18 @@ def find_runs(paths: Iterable[str | Path]) -> list[Path]:
     return list(found.values())
 
 
-def read_curves(path: Path) -> RunCurves | None:
-    """Reads a run, or a file such as those in `docs/results`.
+def read_curves(path: Path) -> list[RunCurves]:
+    """Reads a run, or the runs of a file such as those in `docs/results`.
 
     A last line of `metrics.jsonl` that was cut short, as of a run that goes on, is left out.
 
     Returns:
-      The curves, None of a file that has none.
+      A run's curves; of a file those of each of its runs, nothing if it is not about runs.
 
     Raises:
       JaxactError: a file is damaged or lacks what says which experiment it is of.
     """
-    return _read_result(path) if path.is_file() else _read_run(path)
+    return _read_result(path) if path.is_file() else [_read_run(path)]
 
 
 def _runs_inside(path: Path) -> list[Path]:
@@ -155,15 +155,18 @@ def _read_run(path: Path) -> RunCurves:
     return RunCurves(path, *identity, experiment, curves)
 
 
-def _read_result(path: Path) -> RunCurves | None:
+def _read_result(path: Path) -> list[RunCurves]:
     result = _read_json(path)
     if not isinstance(result, dict) or not result.keys() >= _RESULT:
-        return None
-    columns = [[(name, x) for x in column] for name, column in result["curve"].items()]
-    curves = _logged([dict(row) for row in zip(*columns, strict=True)], path)
-    curves |= _evaluated(result["evaluations"], EVALUATION)
-    fingerprint = str(result.get("fingerprint", result["commit"]))  # older ones have the latter
-    return RunCurves(path, result["name"], fingerprint, result["seeds"][0], {}, curves)
+        return []
+    read = []
+    for run in result["runs"]:
+        columns = [[(name, x) for x in column] for name, column in run["curve"].items()]
+        curves = _logged([dict(row) for row in zip(*columns, strict=True)], path)
+        curves |= _evaluated(run["evaluations"], EVALUATION)
+        identity = result["name"], result["fingerprint"], run["seed"]
+        read.append(RunCurves(path, *identity, {}, curves))
+    return read
 
 
 def _read_json(path: Path) -> Any:

@@ -188,11 +188,10 @@ def _read(paths: Iterable[str | Path], notes: list[str]) -> Iterator[RunCurves]:
     if not found:
         raise JaxactError("name at least one run, or a directory with runs in it")
     for path in found:
-        run = read_curves(path)
-        if run is not None and run.curves:
-            drawn += 1
-            yield run
-        else:
+        runs = [run for run in read_curves(path) if run.curves]
+        drawn += len(runs)
+        yield from runs
+        if not runs:
             notes.append(f"{path} left out, as it has no curves")
     if not drawn:
         raise JaxactError(f"nothing has been logged in {', '.join(map(str, found))}")

@@ -130,8 +130,7 @@ def test_what_is_read_of_a_run(tmp_path: Path) -> None:
     (run / "evaluation" / "0200-seed0-sampled.json").write_text(json.dumps(elsewhere))
     with (run / "metrics.jsonl").open("a") as file:
         file.write('{"step": 400, "train/succ')  # it goes on
-    read = read_curves(run)
-    assert read is not None
+    (read,) = read_curves(run)
     assert (read.name, read.seed, read.last_step) == ("corridor", 7, 300)
     after = "evaluation-seed3-greedy/success"
     assert set(read.curves) == {"stage", "train/success", "losses/a", "evaluation/success", after}
@@ -160,7 +159,7 @@ def test_runs_of_an_experiment_are_one_group(tmp_path: Path) -> None:
         make_run(tmp_path, seed, rows([100]), rate=0.2)
     make_run(tmp_path, 0, rows([100]), name="other")
     again = make_run(tmp_path / "again", 1, rows([50, 200]))
-    read = [one for one in map(read_curves, find_runs([tmp_path])) if one is not None]
+    read = [one for path in find_runs([tmp_path]) for one in read_curves(path)]
     groups, repeated = group_runs(read)
     seeds = {group.label: [run.seed for run in group.runs] for group in groups}
     assert seeds == {"corridor, rate=0.1": [1, 3], "corridor, rate=0.2": [1, 3], "other": [0]}
@@ -176,7 +175,7 @@ def test_experiments_that_differ_in_much_are_told_apart_by_their_fingerprints(
 ) -> None:
     make_run(tmp_path, 0, rows([100]))
     make_run(tmp_path, 0, rows([100]), rate=0.2, lanes=16, clip=0.1)
-    read = [one for one in map(read_curves, find_runs([tmp_path])) if one is not None]
+    read = [one for path in find_runs([tmp_path]) for one in read_curves(path)]
     labels = [group.label for group in group_runs(read)[0]]
     assert labels == [f"corridor ({run.fingerprint[:7]})" for run in read]
     assert len(set(labels)) == 2
@@ -337,7 +336,7 @@ def test_what_is_no_run(runs: Path) -> None:
 
 def test_committed_results_are_drawn() -> None:
     files = sorted(RESULTS.glob("*.json"))
-    plot = plot_runs(files, metrics=["evaluation/success+train/success"])
+    plot = plot_runs(files, metrics=["evaluation/success+train/success"], statistic="mean")
     trained = [json.loads(file.read_text()) for file in files if "babyai" in file.name]
     finals = [final for final in plot.finals if final.metric == "evaluation/success"]
     assert [(final.experiment, final.value, final.low, final.high) for final in finals] == [
