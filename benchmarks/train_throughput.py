@@ -120,6 +120,7 @@ def _measure(arguments: Arguments, devices: int) -> dict[str, Any]:
     ratios = [b / a for a, b in zip(seconds, matmul_seconds, strict=True)]
     return {
         "id": arguments.experiment,
+        "set": arguments.set,
         "system": "jaxact",
         "devices": devices,
         "lanes": experiment.pipeline.lanes,

@@ -20,6 +20,7 @@ from jaxact import Experiment, Stage, TrainingPipeline
 from jaxact.losses import PPO, Advisor, AdvisorImitation, Imitation
 from jaxact.models import LSTM, ActorCritic, Concatenated, InstructedGrid, Vector
 from jaxact.schedules import Linear, Piecewise
+from jaxact.search_space import Range, choice, log_uniform, uniform
 from jaxact.storages import DemonstrationStorage
 
 # World, encoder, and steps as published.
@@ -65,7 +66,7 @@ def _stages(world: str, length: float) -> dict[str, Stage]:
     }
 
 
-def search_space(name: str) -> dict[str | tuple[str, ...], str]:
+def search_space(name: str) -> dict[str | tuple[str, ...], Range]:
     """Returns what ADVISOR's random search draws for one of `experiments`.
 
     Learning rates are log-uniform in [1e-4, 0.5], the warm start's share of the steps uniform in
@@ -74,8 +75,8 @@ def search_space(name: str) -> dict[str | tuple[str, ...], str]:
     world = next(world for world in WORLDS if name.startswith(world))
     method, steps = name.removeprefix(f"{world}_"), WORLDS[world][2]
     stage = "pipeline.stages.0"
-    space: dict[str | tuple[str, ...], str] = {
-        "pipeline.learning_rate.start": "log_uniform(1e-4, 0.5)"
+    space: dict[str | tuple[str, ...], Range] = {
+        "pipeline.learning_rate.start": log_uniform(1e-4, 0.5)
     }
     lengths = []
     if method.startswith("dagger"):
@@ -85,13 +86,13 @@ def search_space(name: str) -> dict[str | tuple[str, ...], str]:
     if method == "bc_forced_to_ppo":
         lengths.append(f"{stage}.teacher_forcing.boundaries.0")
     if lengths:
-        space[tuple(lengths)] = f"uniform({0.1 * steps}, {0.9 * steps})"
+        space[tuple(lengths)] = uniform(0.1 * steps, 0.9 * steps)
     alpha = {
         "advisor": f"{stage}.losses.advisor.alpha",
         "advisor_demonstrations": f"{stage}.storages.demonstrations.losses.advisor.alpha",
     }
     if method in alpha:
-        space[alpha[method]] = "choice(4, 8, 16, 32)"
+        space[alpha[method]] = choice(4, 8, 16, 32)
     return space
 
 

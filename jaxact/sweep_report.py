@@ -66,7 +66,7 @@ def report(
         curves.append(expected_best_curve(_name(directory, config, sweeps), scores, smallest))
         lines.append(_best_draw(curves[-1], records, smallest))
     path = figure or Path(sweeps[0]) / "expected_best"
-    drawn = _draw(curves, metric, smallest, path)
+    drawn = draw_curves(curves, metric, smallest, path)
     table = _table(curves, metric, smallest)
     return "\n".join([*table, "", *lines, f"figure: {', '.join(map(str, drawn))}"])
 
@@ -145,7 +145,18 @@ def _best_draw(curve: Curve, records: Sequence[Record], smallest: bool) -> str:
     )
 
 
-def _draw(curves: Sequence[Curve], metric: str, smallest: bool, path: Path) -> list[Path]:
+def draw_curves(curves: Sequence[Curve], metric: str, smallest: bool, path: Path) -> list[Path]:
+    """Draws what searches can expect of k draws.
+
+    Args:
+      curves: of the sweeps.
+      metric: what is best, for the axis.
+      smallest: whether the smallest is the best.
+      path: where to, with the suffixes .png and .svg.
+
+    Returns:
+      The files.
+    """
     import matplotlib as mpl
 
     mpl.use("Agg")
