@@ -64,6 +64,9 @@ class EvaluateArguments:
     """Evaluate the task's expert instead of a policy."""
     video: Path | None = None
     """Film the first held-out episode into this file (.gif or .mp4)."""
+    features: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """Show this intermediate of the model in the film, for example encoder/Convolution_0; may be
+    repeated."""
     set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """PATH=VALUE overrides one value of the experiment, to evaluate under other conditions."""
 
@@ -251,6 +254,7 @@ def _evaluate(arguments: EvaluateArguments) -> None:
             seed=arguments.seed,
             greedy=arguments.greedy,
             video=arguments.video,
+            features=arguments.features,
         )
 
 

@@ -12,6 +12,7 @@ from jaxact.checkpoints import Checkpoints
 from jaxact.errors import JaxactError
 from jaxact.evaluation import evaluate_expert, evaluate_policy
 from jaxact.experiment import Experiment
+from jaxact.features import check_names
 from jaxact.loading import load_experiment
 from jaxact.overrides import override
 from jaxact.policy import Policy
@@ -92,6 +93,7 @@ def evaluate_run(
     seed: int = 0,
     greedy: bool = False,
     video: Path | None = None,
+    features: Sequence[str] = (),
 ) -> list[dict[str, Any]]:
     """Evaluates checkpoints of a run and writes `evaluation/*.json` into it.
 
@@ -103,15 +105,22 @@ def evaluate_run(
       seed: of the episodes.
       greedy: take the most likely actions.
       video: film the last of these checkpoints on the first held-out episode, into this file.
+      features: names of the model's intermediates that the film shows; see `jaxact.features`.
 
     Returns:
       A summary for each checkpoint, with 95 % confidence intervals.
+
+    Raises:
+      JaxactError: there is no such run, checkpoint or intermediate, or no film to show it in.
     """
+    if features and video is None:
+        raise JaxactError(f"{', '.join(features)} can be shown in a film only: name its file")
     path = open_run(run)
     trained, experiment = load_run(path), load_run(path, overrides)
     results = []
     for step in choose_checkpoints(path, checkpoint):
         policy = load_policy(path, trained, step)
+        check_names(experiment.pomdp, policy, features)
         outcome = evaluate_policy(experiment.pomdp, policy, episodes, seed=seed, greedy=greedy)
         summary = {"step": step, "seed": seed, "greedy": greedy, **outcome.summary()}
         if overrides:
@@ -122,7 +131,10 @@ def evaluate_run(
         print_summary(f"step {step:,}", summary)
         results.append(summary)
     if video is not None:
-        write_video(video, record_episode(experiment.pomdp, policy, seed=seed, greedy=greedy))
+        frames = record_episode(
+            experiment.pomdp, policy, seed=seed, greedy=greedy, features=features
+        )
+        write_video(video, frames)
     return results
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,13 +13,21 @@ from jaxact.caching import cached_by_identity
 from jaxact.distributions import Categorical
 from jaxact.errors import JaxactError
 from jaxact.evaluation import held_out_keys
+from jaxact.features import check_names, draw, intermediates
 from jaxact.policy import Policy, PolicyMemory
 from jaxact.pomdp import POMDP
+from jaxact.spaces import Space
 from jaxact.video import annotate
 
 
 def record_episode(
-    pomdp: POMDP, policy: Policy, *, seed: int = 0, greedy: bool = False, max_steps: int = 200
+    pomdp: POMDP,
+    policy: Policy,
+    *,
+    seed: int = 0,
+    greedy: bool = False,
+    max_steps: int = 200,
+    features: Sequence[str] = (),
 ) -> np.ndarray:
     """Films the first held-out episode of a seed, step for step as evaluation plays it.
 
@@ -28,13 +37,17 @@ def record_episode(
       seed: of the held-out episodes.
       greedy: whether the most likely actions are taken.
       max_steps: the film ends after so many steps.
+      features: names of the model's intermediates to be shown, as `features.intermediates` has
+        them.
 
     Returns:
       uint8 [T, H, W, 3], at least one frame.
 
     Raises:
-      JaxactError: no sensor can be pictured.
+      JaxactError: no sensor can be pictured, or the model has no such intermediate.
     """
+    check_names(pomdp, policy, features)
+    inside = _intermediates(policy.model, pomdp.action_space) if features else None
     start, advance, show = _player(pomdp, policy.model, greedy)
     reset_keys, step_keys = held_out_keys(seed, 1)
     state, observation, memory = start(reset_keys[0])
@@ -42,7 +55,10 @@ def record_episode(
     total, frames = 0.0, []
     for t in range(max_steps):
         key = jax.random.fold_in(step_keys[0], t)
-        pictures = jax.device_get(show(state))
+        pictures = list(jax.device_get(show(state)).values())
+        if inside is not None:
+            found = jax.device_get(inside(policy.params, observation, memory))
+            pictures += [draw(found[name]) for name in features]
         state, observation, memory, step, action, output = advance(
             policy.params, key, state, observation, memory
         )
@@ -52,7 +68,7 @@ def record_episode(
         names = pomdp.environment.action_names if discrete else ()
         frames.append(
             annotate(
-                side_by_side(list(pictures.values())),
+                side_by_side(pictures),
                 action_names=names,
                 action_probabilities=np.asarray(output.distribution.probabilities) if names else (),
                 action=int(action) if discrete else 0,
@@ -111,3 +127,13 @@ def _player(pomdp: POMDP, model: Any, greedy: bool) -> tuple[Any, Any, Any]:
         return state, step.observation, memory, step, action, output
 
     return jax.jit(start), jax.jit(advance), jax.jit(pomdp.pictures)
+
+
+@cached_by_identity
+def _intermediates(model: Any, action_space: Space) -> Any:
+    """Compiles what a model computes on the way to its output."""
+
+    def compute(params: Any, observation: Any, memory: PolicyMemory) -> dict[str, jax.Array]:
+        return intermediates(Policy(model, params, action_space), observation, memory)
+
+    return jax.jit(compute)
