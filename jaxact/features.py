@@ -75,7 +75,8 @@ def draw(values: np.ndarray) -> np.ndarray:
 
     Args:
       values: [H, W, C], a map whose first channels are laid out as tiles; or [H, W]; or [N], whose
-        first entries are laid out row by row; anything else is flattened to [N].
+        first entries are laid out row by row; anything else is flattened to [N]. The first axis
+        goes down: in maps of MiniGrid's views that is x, so that the agent looks to the left.
 
     Returns:
       uint8 [H', W', 3].
