@@ -1,22 +1,29 @@
 """Recurrent memory that forgets at the start of an episode.
 
-The inputs of all time steps are projected in one matrix product; only the recurrence is scanned.
+The inputs of all time steps are projected in one matrix product, and so is the gradient of the
+recurrent weights: only the recurrence itself is scanned.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from functools import partial
+from typing import Any
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
-Carry = TypeVar("Carry")
+# Arrays [B, H], the last of which is what the cell puts out.
+Carry = tuple[jax.Array, ...]
+# From carry, input [B, F] and recurrent product [B, G] to the next carry.
+Cell = Callable[[Carry, jax.Array, jax.Array], Carry]
 
 
-def scan_episodes(
-    cell: Callable[[Carry, jax.Array], tuple[Carry, jax.Array]],
+def recur(
+    cell: Cell,
+    weights: jax.Array,
+    bias: jax.Array,
     carry: Carry,
     inputs: jax.Array,
     is_first: jax.Array,
@@ -24,23 +31,79 @@ def scan_episodes(
     """Runs a cell over time, from zero memory wherever an episode begins.
 
     Args:
-      cell: (carry, input [B, F]) -> (carry, output [B, H]).
-      carry: tree of [B, H].
+      cell: a function of its arguments alone: what is to be learnt must not be bound to it.
+      weights: float32 [H, G]; what the cell put out last times these is its recurrent product.
+      bias: float32 [G], added to it.
+      carry: before the first step.
       inputs: [T, B, F], or [B, F] for a single step.
       is_first: bool [T, B] or [B].
 
     Returns:
       The last carry and the outputs, [T, B, H] or [B, H].
     """
+    if is_first.ndim > 1:
+        return _scan(cell, weights, bias, carry, inputs, is_first)
+    kept = _forget(carry, is_first)
+    carry = cell(kept, inputs, kept[-1] @ weights + bias)
+    return carry, carry[-1]
 
-    def step(carry: Carry, x: tuple[jax.Array, jax.Array]) -> tuple[Carry, jax.Array]:
-        x_t, first_t = x
-        kept = jax.tree.map(lambda h: jnp.where(first_t[:, None], jnp.zeros_like(h), h), carry)
-        return cell(kept, x_t)
 
-    if is_first.ndim == 1:
-        return step(carry, (inputs, is_first))
-    return jax.lax.scan(step, carry, (inputs, is_first))
+@partial(jax.custom_vjp, nondiff_argnums=(0,))
+def _scan(
+    cell: Cell,
+    weights: jax.Array,
+    bias: jax.Array,
+    carry: Carry,
+    inputs: jax.Array,
+    is_first: jax.Array,
+) -> tuple[Carry, jax.Array]:
+    return _forward(cell, weights, bias, carry, inputs, is_first)[0]
+
+
+def _forward(
+    cell: Cell,
+    weights: jax.Array,
+    bias: jax.Array,
+    carry: Carry,
+    inputs: jax.Array,
+    is_first: jax.Array,
+) -> tuple[Any, Any]:
+    def step(carry: Carry, now: tuple[jax.Array, jax.Array]) -> tuple[Carry, Any]:
+        x, first = now
+        kept = _forget(carry, first)
+        carry, pull = jax.vjp(cell, kept, x, kept[-1] @ weights + bias)
+        return carry, (carry[-1], kept[-1], pull)
+
+    last, (outputs, hidden, pulls) = jax.lax.scan(step, carry, (inputs, is_first))
+    return (last, outputs), (weights, is_first, hidden, pulls)
+
+
+def _backward(cell: Cell, residuals: Any, cotangents: tuple[Carry, jax.Array]) -> tuple[Any, ...]:
+    """Scans back over time; a step's share of the weights' gradient would be an outer product of
+    few lanes, so that of all steps is taken at once, from the products' cotangents.
+    """
+    weights, is_first, hidden, pulls = residuals
+    transposed = weights.T
+
+    def step(d_carry: Carry, now: Any) -> tuple[Carry, tuple[jax.Array, jax.Array]]:
+        d_output, first, pull = now
+        d_kept, d_x, d_product = pull((*d_carry[:-1], d_carry[-1] + d_output))
+        d_kept = (*d_kept[:-1], d_kept[-1] + d_product @ transposed)
+        return _forget(d_kept, first), (d_x, d_product)
+
+    d_last, d_outputs = cotangents
+    d_carry, (d_inputs, d_products) = jax.lax.scan(
+        step, d_last, (d_outputs, is_first, pulls), reverse=True
+    )
+    d_weights = jnp.einsum("tbh,tbg->hg", hidden, d_products)
+    return d_weights, jnp.sum(d_products, (0, 1)), d_carry, d_inputs, None
+
+
+_scan.defvjp(_forward, _backward)
+
+
+def _forget(carry: Carry, where: jax.Array) -> Carry:
+    return jax.tree.map(lambda h: jnp.where(where[:, None], jnp.zeros_like(h), h), carry)
 
 
 class GRU(nn.Module):
@@ -62,23 +125,25 @@ class GRU(nn.Module):
             "recurrent", nn.initializers.orthogonal(), (self.size, 3 * self.size), jnp.float32
         )
         bias = self.param("recurrent_bias", nn.initializers.zeros, (self.size,), jnp.float32)
-
-        def cell(h: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-            x_r, x_z, x_n = jnp.split(x, 3, axis=-1)
-            h_r, h_z, h_n = jnp.split(h @ recurrent, 3, axis=-1)
-            reset = nn.sigmoid(x_r + h_r)
-            update = nn.sigmoid(x_z + h_z)
-            new = jnp.tanh(x_n + reset * (h_n + bias))
-            h = (1.0 - update) * new + update * h
-            return h, h
-
-        memory, outputs = scan_episodes(cell, memory, projected, is_first)
+        # That of the other two gates is the projection's.
+        padded = jnp.pad(bias, (2 * self.size, 0))
+        (memory,), outputs = recur(_gru_cell, recurrent, padded, (memory,), projected, is_first)
         return outputs, memory
 
     @nn.nowrap
     def initial(self, lanes: int) -> jax.Array:
         """Returns the empty memory, float32 [lanes, size]."""
         return jnp.zeros((lanes, self.size), jnp.float32)
+
+
+def _gru_cell(carry: Carry, x: jax.Array, product: jax.Array) -> Carry:
+    (h,) = carry
+    x_r, x_z, x_n = jnp.split(x, 3, axis=-1)
+    h_r, h_z, h_n = jnp.split(product, 3, axis=-1)
+    reset = nn.sigmoid(x_r + h_r)
+    update = nn.sigmoid(x_z + h_z)
+    new = jnp.tanh(x_n + reset * h_n)
+    return ((1.0 - update) * new + update * h,)
 
 
 class LSTM(nn.Module):
@@ -100,23 +165,22 @@ class LSTM(nn.Module):
             "recurrent", nn.initializers.orthogonal(), (self.size, 4 * self.size), jnp.float32
         )
 
-        def cell(
-            carry: tuple[jax.Array, jax.Array], x: jax.Array
-        ) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
-            c, h = carry
-            i, f, g, o = jnp.split(x + h @ recurrent, 4, axis=-1)
-            c = nn.sigmoid(f + 1.0) * c + nn.sigmoid(i) * jnp.tanh(g)
-            h = nn.sigmoid(o) * jnp.tanh(c)
-            return (c, h), h
-
-        memory, outputs = scan_episodes(cell, memory, projected, is_first)
-        return outputs, memory
+        bias = jnp.zeros(4 * self.size, jnp.float32)  # the projection has one
+        (c, h), outputs = recur(_lstm_cell, recurrent, bias, memory, projected, is_first)
+        return outputs, (c, h)
 
     @nn.nowrap
     def initial(self, lanes: int) -> tuple[jax.Array, jax.Array]:
         """Returns the empty memory, (cell, hidden) float32 [lanes, size] each."""
         zeros = jnp.zeros((lanes, self.size), jnp.float32)
         return zeros, zeros
+
+
+def _lstm_cell(carry: Carry, x: jax.Array, product: jax.Array) -> Carry:
+    c, _ = carry
+    i, f, g, o = jnp.split(x + product, 4, axis=-1)
+    c = nn.sigmoid(f + 1.0) * c + nn.sigmoid(i) * jnp.tanh(g)
+    return c, nn.sigmoid(o) * jnp.tanh(c)
 
 
 class NoMemory(nn.Module):

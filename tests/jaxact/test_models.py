@@ -82,6 +82,35 @@ def test_nothing_passes_from_one_episode_to_the_next(memory, sequence):
     assert np.all(np.asarray(jax.grad(late)(inputs[:3])) == 0)
 
 
+@pytest.mark.parametrize("memory", [GRU(H), LSTM(H)], ids=["GRU", "LSTM"])
+def test_gradients_of_a_sequence_are_those_of_its_steps(memory, sequence):
+    """Single steps are differentiated by JAX alone."""
+    inputs, is_first = sequence
+    start = jax.tree.map(lambda x: x + 0.3, memory.initial(B))
+    params = init(memory, inputs, start, is_first)
+    weights = normal(1, T, B, H)
+
+    def score(outputs, last):
+        return jnp.sum(weights * outputs) + sum(jnp.sum(jnp.sin(x)) for x in jax.tree.leaves(last))
+
+    def whole(params, inputs, start):
+        return score(*memory.apply(params, inputs, start, is_first))
+
+    def by_steps(params, inputs, carried):
+        outputs = []
+        for t in range(T):
+            output, carried = memory.apply(params, inputs[t], carried, is_first[t])
+            outputs.append(output)
+        return score(jnp.stack(outputs), carried)
+
+    ours, expected = (
+        jax.jit(jax.grad(function, (0, 1, 2)))(params, inputs, start)
+        for function in (whole, by_steps)
+    )
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), ours, expected)
+    assert all(np.any(x) for x in jax.tree.leaves(expected))
+
+
 def test_gru_is_flaxs_gru_cell():
     inputs, h = normal(0, B, F), normal(1, B, H)
     cell = nn.GRUCell(H)
