@@ -8,14 +8,15 @@ import jax
 import jax.numpy as jnp
 
 from envs_jax.minigrid import expert as experts
+from envs_jax.minigrid import planner
+from envs_jax.minigrid.environment import FORWARD, LEFT, RIGHT
+from envs_jax.minigrid.planner import Guide
 from envs_jax.minigrid.samplers.changed import ChangedEpisodes
 from envs_jax.minigrid.state import GridState
 from envs_jax.minigrid.tasks import GoalState, GoalTask
 from jaxact.errors import JaxactError
 from jaxact.pomdp import POMDP, Episode, ExpertAction, Outcome
 from jaxact.spaces import Discrete
-
-_FAR = jnp.iinfo(jnp.int32).max
 
 
 @jax.tree_util.register_dataclass
@@ -24,15 +25,12 @@ class CorruptState(GoalState):
     """Progress of a `CorruptGoalTask`.
 
     Attributes:
-      closest: int32 scalar, the fewest actions from the goal that the agent has been, the present
-        included.
-      advice: int32 scalar, the first action of a shortest plan from the present state.
-      valid: bool scalar, whether there is such a plan.
+      guide: the way to the goal from everywhere, the same throughout an episode.
+      was_near: bool scalar, whether the agent has been near the goal, the present included.
     """
 
-    closest: jax.Array
-    advice: jax.Array
-    valid: jax.Array
+    guide: Guide
+    was_near: jax.Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +39,8 @@ class CorruptGoalTask(GoalTask):
 
     From the first state from which `within` actions or fewer lead to the goal, to the end of the
     episode, the advice is uniformly random over the actions, also if the agent walks away again.
-    Every step is planned, whether or not the expert is asked: the closest so far has to be known.
+    It is for worlds in which nothing moves and nothing opens: all ways are planned as an episode
+    begins, past everything but bare floor and doors that stand open, and looked up from then on.
 
     Source: Weihs et al. 2021 (https://arxiv.org/abs/2007.12173) and `MiniGridTask.query_expert` of
     AllenAct. AllenAct counts one action more, that of leaving the goal for a common node of
@@ -61,15 +60,17 @@ class CorruptGoalTask(GoalTask):
         """Judges one step; see `Task.step`."""
         task_state, outcome = super().step(task_state, before, action, after)
         assert isinstance(task_state, CorruptState)
-        return _look(task_state, after, self.height), outcome
+        return _look(task_state, after), outcome
 
     def expert(self, key: jax.Array, task_state: GoalState, state: GridState) -> ExpertAction:
         """Returns the first action of a shortest plan to the goal, or a random one."""
         assert isinstance(task_state, CorruptState)
         random = jax.random.randint(key, (), 0, self.num_actions, jnp.int32)
-        is_corrupt = task_state.closest <= self.within
-        action = jnp.where(is_corrupt, random, task_state.advice)
-        return ExpertAction(action, task_state.valid)
+        guide, pose = task_state.guide, (state.position, state.direction)
+        turn = jnp.where(planner.holds(guide.right, *pose), RIGHT, FORWARD)
+        planned = jnp.where(planner.holds(guide.left, *pose), LEFT, turn)
+        action = jnp.where(task_state.was_near, random, planned.astype(jnp.int32))
+        return ExpertAction(action, planner.contains(guide.reached, state.position))
 
 
 @dataclass(frozen=True)
@@ -77,33 +78,31 @@ class CorruptSampler(ChangedEpisodes):
     """The episodes of a sampler, for a `CorruptGoalTask`.
 
     Attributes:
-      height: cells of the grid along y.
+      within: that of the task.
     """
 
-    height: int
+    within: int
 
     def change(self, episode: Episode) -> Episode:
-        """Returns the episode with the distance from its goal."""
+        """Returns the episode with the ways to its goal."""
         parts = {field.name: getattr(episode.task, field.name) for field in fields(GoalState)}
-        unplanned = CorruptState(
-            **parts, closest=jnp.int32(_FAR), advice=jnp.int32(0), valid=jnp.bool_(False)
-        )
-        return replace(episode, task=_look(unplanned, episode.environment, self.height))
+        # A plan ends in front of the goal, one action from it.
+        guide = experts.goal_guide(episode.environment, near=self.within - 1)
+        unplaced = CorruptState(**parts, guide=guide, was_near=jnp.bool_(False))
+        return replace(episode, task=_look(unplaced, episode.environment))
 
 
-def _look(task_state: CorruptState, state: GridState, height: int) -> CorruptState:
-    """Returns the task's state with the plan that there is from the world as it stands."""
-    advice, distance = experts.goal_plan(state, height)
-    distance = jnp.where(advice.valid, distance, jnp.int32(_FAR))
-    closest = jnp.minimum(task_state.closest, distance)
-    return replace(task_state, closest=closest, advice=advice.action, valid=advice.valid)
+def _look(task_state: CorruptState, state: GridState) -> CorruptState:
+    """Returns the task's state once the agent has got to where it is."""
+    is_near = planner.holds(task_state.guide.near, state.position, state.direction)
+    return replace(task_state, was_near=task_state.was_near | is_near)
 
 
 def corrupt_expert(pomdp: POMDP, within: int) -> POMDP:
     """Returns a grid world with a goal whose expert acts at random once the agent has been near it.
 
     Args:
-      pomdp: the world; its task is a `GoalTask`.
+      pomdp: the world; its task is a `GoalTask`, and nothing in it moves or opens.
       within: how near, in actions; see `CorruptGoalTask`.
 
     Raises:
@@ -121,4 +120,4 @@ def corrupt_expert(pomdp: POMDP, within: int) -> POMDP:
         within=within,
         num_actions=pomdp.action_space.n,
     )
-    return replace(pomdp, task=task, sampler=CorruptSampler(pomdp.sampler, task.height))
+    return replace(pomdp, task=task, sampler=CorruptSampler(pomdp.sampler, within))

@@ -28,7 +28,7 @@ from envs_jax.minigrid.environment import (
     front_index,
     is_kind,
 )
-from envs_jax.minigrid.planner import Board, Plan, Terrain
+from envs_jax.minigrid.planner import Board, Guide, Plan, Terrain
 from envs_jax.minigrid.state import PADDING, GridState
 from jaxact.pomdp import ExpertAction
 
@@ -78,20 +78,22 @@ def goal_expert(
       An int32 action of `GridWorld`. It is not valid where there is no such plan.
     """
     del key, task_state
-    return goal_plan(state, height)[0]
-
-
-def goal_plan(state: GridState, height: int) -> tuple[ExpertAction, jax.Array]:
-    """Returns the advice of `goal_expert`, and how many actions its plan takes.
-
-    The number, an int32 scalar, is meaningless where the advice is not valid.
-    """
     cells = _cells(state.tiles)
-    goals = planner.facing(planner.pack(cells & tiles.TYPE_MASK == tiles.GOAL))
+    goals = planner.facing(_goals(cells))
     terrain, layer = _layers(_survey(cells, state.carrying, spare_keys=True), state.carrying)
     plan = planner.plan(terrain, goals, state.position, state.direction, layer)
     # The plan ends in front of the goal.
-    return ExpertAction(_name(plan, state, height, FORWARD), plan.reached), plan.distance + 1
+    return ExpertAction(_name(plan, state, height, FORWARD), plan.reached)
+
+
+def goal_guide(state: GridState, near: int) -> Guide:
+    """Returns the plans of `goal_expert` for all poses, as long as nothing is moved or opened.
+
+    They end in front of a goal square; see `planner.guide` for `near`.
+    """
+    cells = _cells(state.tiles)
+    walkable = planner.pack(is_kind(cells, _WALKABLE))
+    return planner.guide(walkable, planner.facing(_goals(cells)), near)
 
 
 def goto_expert(
@@ -146,6 +148,10 @@ def goto_expert(
 def _cells(plane: jax.Array) -> jax.Array:
     """Cuts the grid [W, H] out of a padded plane."""
     return plane[PADDING:-PADDING, PADDING:-PADDING]
+
+
+def _goals(cells: jax.Array) -> Board:
+    return planner.pack(cells & tiles.TYPE_MASK == tiles.GOAL)
 
 
 def _survey(cells: jax.Array, carrying: jax.Array, spare_keys: bool) -> _Map:

@@ -71,6 +71,24 @@ class Plan:
     reached: jax.Array
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Guide:
+    """The beginnings of shortest plans from all poses, in a world that does not change.
+
+    Attributes:
+      left: word[4, H], poses from which a plan begins with a turn to the left.
+      right: word[4, H], those of the others from which it begins with a turn to the right.
+      near: word[4, H], poses from which few actions lead to a goal pose.
+      reached: word[H], cells from which there is a plan.
+    """
+
+    left: Board
+    right: Board
+    near: Board
+    reached: Board
+
+
 def pack(cells: jax.Array) -> Board:
     """Turns cells bool[W, H], W at most 32, into a bitboard word[H].
 
@@ -88,6 +106,11 @@ def pack(cells: jax.Array) -> Board:
 def contains(board: Board, position: jax.Array) -> jax.Array:
     """Says whether cell `position`, int32[2], is on the board word[H]; bool scalar."""
     return (board[position[1]] >> position[0].astype(board.dtype)) & 1 != 0
+
+
+def holds(poses: Board, position: jax.Array, direction: jax.Array) -> jax.Array:
+    """Says whether word[4, H] has the pose at `position`, int32[2], in `direction`; bool scalar."""
+    return contains(poses[direction], position)
 
 
 def facing(cells: Board) -> Board:
@@ -135,6 +158,39 @@ def plan(
         [distance == 0, left < distance, right < distance], [ARRIVED, LEFT, RIGHT], straight
     )
     return Plan(action.astype(jnp.int32), distance, reached)
+
+
+def guide(walkable: Board, goals: Board, near: int) -> Guide:
+    """Finds the beginnings of shortest plans from everywhere, of those `plan` would find.
+
+    Args:
+      walkable: word[H], cells entered by a step forward; there are no others to get through.
+      goals: word[4, H], goal poses.
+      near: how many actions to a goal pose are few.
+    """
+    return _guide(walkable, goals, jnp.asarray(near, jnp.int32))
+
+
+@together
+def _guide(walkable: Board, goals: Board, near: jax.Array) -> Guide:
+    """Guides N lanes at once; every argument has a leading axis N."""
+    open_ = walkable.T
+
+    def grow(carry: tuple[jax.Array, tuple[Board, ...], jax.Array]) -> Any:
+        actions, (now, left, right, close), _ = carry
+        before, after = jnp.roll(now, 1, axis=0), jnp.roll(now, -1, axis=0)
+        new = (before | after | jnp.stack(_behind(tuple(now)))) & open_ & ~now
+        left, right = left | new & before, right | new & after & ~before
+        close = jnp.where(actions < near, close | new, close)
+        return actions + 1, (now | new, left, right, close), jnp.any(new != 0)
+
+    seeds = jnp.moveaxis(goals, 0, -1) & open_
+    nothing = jnp.zeros_like(seeds)
+    close = jnp.where(near >= 0, seeds, nothing)
+    begin = (jnp.int32(0), (seeds, nothing, nothing, close), jnp.bool_(True))
+    _, boards, _ = lax.while_loop(lambda carry: carry[-1], grow, begin)
+    reached, left, right, close = (jnp.moveaxis(board, -1, 0) for board in boards)
+    return Guide(left, right, close, reached[:, 0])
 
 
 class _World(NamedTuple):

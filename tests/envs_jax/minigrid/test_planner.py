@@ -119,6 +119,35 @@ def test_shared_arguments_need_no_lane_axis() -> None:
             assert expected == (int(shared.distance[i]) if shared.reached[i] else None)
 
 
+def test_a_guide_has_the_plans_from_all_poses() -> None:
+    kinds, goals, _, _ = map(jnp.asarray, make_mazes(8, 1, seed=5).values())
+    poses = np.indices((WIDTH, HEIGHT, 4), np.int32).reshape(3, -1).T
+    near = 4
+
+    def both(kinds: jax.Array, goals: jax.Array) -> tuple[Plan, dict[str, jax.Array]]:
+        cells = kinds == 1
+        guide = planner.guide(planner.pack(cells[0]), planner.facing(planner.pack(goals)), near)
+
+        def look(pose: jax.Array) -> tuple[Plan, dict[str, jax.Array]]:
+            position, direction = pose[:2], pose[2]
+            turns = {name: getattr(guide, name) for name in ("left", "right", "near")}
+            said = {
+                name: planner.holds(poses, position, direction) for name, poses in turns.items()
+            }
+            said["reached"] = planner.contains(guide.reached, position)
+            return plan(cells.astype(int), goals, position, direction), said
+
+        return jax.vmap(look)(jnp.asarray(poses))
+
+    plans, said = jax.tree.map(np.asarray, jax.jit(jax.vmap(both))(kinds, goals))
+    reached = plans.reached
+    assert 0 < reached.sum() < reached.size
+    np.testing.assert_array_equal(said["reached"], reached)
+    np.testing.assert_array_equal(said["left"], reached & (plans.action == LEFT))
+    np.testing.assert_array_equal(said["right"], reached & (plans.action == RIGHT))
+    np.testing.assert_array_equal(said["near"], reached & (plans.distance <= near))
+
+
 def test_standing_goals_and_inactive_lanes() -> None:
     room = jnp.zeros((5, 4), bool).at[1:4, 1:3].set(True)
     terrain = Terrain(
