@@ -5,11 +5,13 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 
 from jaxact.errors import JaxactError
 from jaxact.losses import CPCA, CPCASoftmax, FusionEntropy, InverseDynamics, TemporalDistance
 from jaxact.losses.windows import first_and_last, goes_on, uniform
+from jaxact.models import Vector
 from tests.windows import (
     ACTIONS,
     IS_FIRST,
@@ -182,6 +184,70 @@ def test_distances_that_can_be_told_are_told():
     assert right == 0.0
     assert half == pytest.approx(0.25 * none, rel=1e-5)
     assert none > 0.0
+
+
+def test_distances_are_learnt_where_observations_show_progress():
+    """Walkers along a line, from anywhere on it: where they are tells how far apart two steps are,
+    by an embedding that is to be found. In a shuffled window the same observations tell nothing.
+    """
+    length, lanes, places, loss = 12, 64, 40, TemporalDistance()
+    is_first = np.zeros((length, lanes), bool)
+    is_first[0] = True
+    span = length - 1
+    encoder, optimizer = Vector((8,)), optax.adam(0.02)
+
+    def window(key, shuffled):
+        start_key, shuffle_key, draw_key = jax.random.split(key, 3)
+        start = jax.random.randint(start_key, (lanes,), 0, places - span, jnp.int32)
+        place = start + jnp.arange(length, dtype=jnp.int32)[:, None]
+        mixed = jax.random.permutation(shuffle_key, place, axis=0, independent=True)
+        batch = dataclasses.replace(
+            batch_of(is_first=is_first), key=jax.random.split(draw_key, lanes)
+        )
+        return jax.nn.one_hot(jnp.where(shuffled, mixed, place), places), batch
+
+    def value(params, key, shuffled):
+        observation, batch = window(key, shuffled)
+        embedding = encoder.apply(params["encoder"], observation)
+        output = output_of((length, lanes), embedding=embedding, belief=jnp.zeros_like(embedding))
+        return loss(output, batch, PROGRESS, params["loss"])[0]
+
+    def best_constant(key):
+        draws = uniform(window(key, False)[1], loss.pairs, 2)[-1]
+        i, j = jnp.moveaxis(jnp.floor(draws * length), -1, 0)
+        return 0.5 * jnp.var((j - i) / span)
+
+    @jax.jit
+    def learnt(key):
+        """Squared errors on fresh windows: in order, shuffled, and the best constant's."""
+        encoder_key, loss_key, train_key, test_key = jax.random.split(key, 4)
+        embedding = jnp.zeros((1, 8), jnp.float32)
+        example = output_of((1,), embedding=embedding, belief=embedding)
+        params = {
+            "encoder": encoder.init(encoder_key, jnp.zeros((1, places), jnp.float32)),
+            "loss": loss.init(loss_key, example, {}, jnp.zeros(1, jnp.int32)),
+        }
+
+        def trained(shuffled):
+            def step(carry, key):
+                params, state = carry
+                gradient = jax.grad(value)(params, key, shuffled)
+                with jax.numpy_dtype_promotion("standard"):
+                    updates, state = optimizer.update(gradient, state)
+                return (optax.apply_updates(params, updates), state), None
+
+            carry = params, optimizer.init(params)
+            (last, _), _ = jax.lax.scan(step, carry, jax.random.split(train_key, 300))
+            fresh = jax.random.split(test_key, 20)
+            return jnp.mean(jax.vmap(value, (None, 0, None))(last, fresh, shuffled))
+
+        in_order, shuffled = jax.vmap(trained)(jnp.array([False, True]))
+        return in_order, shuffled, jnp.mean(jax.vmap(best_constant)(jax.random.split(test_key, 20)))
+
+    in_order, shuffled, constant = map(float, learnt(jax.random.key(0)))
+    assert constant == pytest.approx(1 / 12, rel=0.25)
+    assert in_order < 0.05 * constant
+    assert shuffled > 0.95 * constant
 
 
 def test_steps_of_an_episode():
