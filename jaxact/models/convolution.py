@@ -1,7 +1,9 @@
 """A convolution whose gradient stays fast inside a scan.
 
 XLA:CPU leaves its fast path for kernel gradients of convolutions within loops (jax issue 12868),
-where all of training happens; here the kernel gradient is a sum of matrix products instead.
+where all of training happens; here the kernel gradient is a sum of matrix products instead. An
+image of no more cells than the kernel is mapped by one matrix, which is no more work and several
+times faster.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from functools import partial
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 _LAYOUT = ("NHWC", "HWIO", "NHWC")
 
@@ -58,6 +61,42 @@ def _backward(
 convolve.defvjp(_forward, _backward)
 
 
+def convolution_matrix(
+    kernel: jax.Array, rows: int, columns: int, stride: int, padding: int
+) -> jax.Array:
+    """Lays a convolution out as the linear map that it is on images of one size.
+
+    Args:
+      kernel: [k, k, I, O].
+      rows, columns: size of the images.
+      stride: step of the window.
+      padding: zeros on each side of the image.
+
+    Returns:
+      [rows · columns · I, h · w · O], from images to results, both laid out as vectors.
+    """
+    size, _, channels, features = kernel.shape
+
+    def taps(side: int) -> np.ndarray:
+        """Which of the kernel's rows or columns takes [input] to [output], if it has it."""
+        reached = np.arange(_windows(side, size, stride, padding))
+        return np.arange(side)[:, None] + padding - stride * reached
+
+    row, column = taps(rows)[:, None, :, None], taps(columns)[None, :, None, :]
+    both = (row >= 0) & (row < size) & (column >= 0) & (column < size)
+    # Behind the kernel's blocks one of zeros, for where it does not reach.
+    places = np.where(both, size * row + column, size * size)
+    blocks = jnp.concatenate(
+        [kernel.reshape(-1, channels, features), jnp.zeros((1, channels, features), kernel.dtype)]
+    )[places.reshape(rows * columns, -1)]
+    return blocks.transpose(0, 2, 1, 3).reshape(rows * columns * channels, -1)
+
+
+def _windows(side: int, size: int, stride: int, padding: int) -> int:
+    """Returns how many windows there are along a side."""
+    return (side + 2 * padding - size) // stride + 1
+
+
 class Convolution(nn.Module):
     """Convolution, NHWC.
 
@@ -85,10 +124,14 @@ class Convolution(nn.Module):
             jnp.float32,
         )
         flat = x.reshape((-1, *x.shape[-3:]))
-        if self.padding:
+        rows, columns = flat.shape[1:3]
+        if rows * columns <= self.size**2:
+            matrix = convolution_matrix(kernel, rows, columns, self.stride, self.padding)
+            h, w = (_windows(n, self.size, self.stride, self.padding) for n in (rows, columns))
+            y = (flat.reshape(flat.shape[0], -1) @ matrix).reshape(-1, h, w, self.features)
+        else:
             sides = (self.padding, self.padding)
-            flat = jnp.pad(flat, ((0, 0), sides, sides, (0, 0)))
-        y = convolve(flat, kernel, self.stride)
+            y = convolve(jnp.pad(flat, ((0, 0), sides, sides, (0, 0))), kernel, self.stride)
         if self.use_bias:
             y = y + self.param("bias", nn.initializers.zeros, (self.features,), jnp.float32)
         return y.reshape(x.shape[:-3] + y.shape[1:])

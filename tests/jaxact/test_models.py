@@ -306,6 +306,21 @@ def test_padded_convolutions_see_zeros_beyond_the_border():
     assert valid.shape == (B, 5, 5, 2)
 
 
+@pytest.mark.parametrize(
+    ("shape", "size", "stride", "padding"),
+    [((2, 2), 3, 1, 1), ((3, 2), 3, 2, 1), ((1, 1), 2, 1, 1), ((3, 3), 3, 1, 0)],
+)
+def test_convolutions_of_few_cells_are_one_matrix(shape, size, stride, padding):
+    x, kernel = normal(0, B, *shape, F), normal(1, size, size, F, 5)
+    sides = (padding, padding)
+    expected = convolve(jnp.pad(x, ((0, 0), sides, sides, (0, 0))), kernel, stride)
+    layer = Convolution(5, size, stride, padding, use_bias=False)
+    assert "conv_general" not in str(jax.make_jaxpr(layer.apply)({"params": {"kernel": kernel}}, x))
+    result = apply(layer, {"params": {"kernel": kernel}}, x)
+    assert result.shape == expected.shape
+    np.testing.assert_allclose(result, expected, rtol=1e-4, atol=1e-5)
+
+
 def test_convolution_adds_its_bias():
     layer = Convolution(2, 3, stride=2)
     x = normal(0, B, 9, 9, 1)
