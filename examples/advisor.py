@@ -9,6 +9,10 @@ recorded ones as well:
 
 python -m jaxact.collect Advisor-PoisonedDoors-v0 --episodes 10000 --output \
     demonstrations/poisoned_doors
+
+The study gives failed crossings of lava again, until 1000 steps were spent on them. This is left
+out here; `dataclasses.replace(pomdp, sampler=RepeatFailed(pomdp.sampler, min_steps=1000.0))` is
+the world with it.
 """
 
 from collections.abc import Mapping

@@ -19,7 +19,7 @@ from jaxact.losses import PPO, Imitation
 from jaxact.models import GRU, ActorCritic, Concatenated, Vector
 from jaxact.pomdp import POMDP, Task
 from jaxact.program import Program, choose_devices
-from jaxact.samplers import LadderSampler, PrioritizedLevelReplay
+from jaxact.samplers import LadderSampler, PrioritizedLevelReplay, RepeatFailed
 from jaxact.schedules import Linear
 from tests.corridor import RandomStart, ReachEnd, corridor
 
@@ -97,10 +97,10 @@ def program_of(experiment: Experiment, devices: tuple[Any, ...]) -> Program:
 
 
 def curriculum() -> POMDP:
-    """The corridor with samplers that learn, one made of others: a ladder of levels replayed."""
+    """The corridor with samplers that learn, one made of others: a ladder of known levels."""
     rungs = {
-        name: PrioritizedLevelReplay(RandomStart(horizon=horizon), size=16)
-        for name, horizon in (("long", 10), ("short", 5))
+        "long": PrioritizedLevelReplay(RandomStart(horizon=10), size=16),
+        "short": RepeatFailed(RandomStart(horizon=5), min_steps=20.0, size=16),
     }
     ladder = LadderSampler(rungs, promote_at=0.1, episodes=8, rehearsal=0.5)
     return dataclasses.replace(corridor(), sampler=ladder)

@@ -10,23 +10,8 @@ import jax.numpy as jnp
 
 from jaxact.errors import JaxactError
 from jaxact.pomdp import Episode, FinishedEpisodes, PyTree, TaskSampler
+from jaxact.samplers.levels import LevelOrigin, place_of, sample_level
 from jaxact.train_state import make_key
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class LevelOrigin:
-    """Which level an episode was.
-
-    Attributes:
-      seed: uint32, of the level.
-      is_new: bool, whether it was drawn as a new one rather than replayed.
-      inner: the origin that the level's sampler noted.
-    """
-
-    seed: jax.Array
-    is_new: jax.Array
-    inner: PyTree
 
 
 @jax.tree_util.register_dataclass
@@ -126,11 +111,8 @@ class PrioritizedLevelReplay(TaskSampler):
         # Never beyond the last level, where rounding might lead; empty places have no width.
         last = jnp.searchsorted(bounds, bounds[-1])
         index = jnp.minimum(jnp.searchsorted(bounds, point, side="right"), last)
-        new = jax.random.bits(seed_key, (), jnp.uint32)
-        seed = jnp.where(is_new, new, sampler_state.seed[index])
-        episode = self.sampler.sample(make_key(seed), sampler_state.inner)
-        origin = LevelOrigin(seed, is_new, episode.origin)
-        return Episode(episode.environment, episode.task, episode.horizon, origin)
+        known = sampler_state.seed[index]
+        return sample_level(self.sampler, sampler_state.inner, seed_key, known, is_new)
 
     def probabilities(self, buffer: LevelBuffer) -> jax.Array:
         """Returns how likely each level is when one is replayed, float32 [N]; 0 for no level."""
@@ -156,11 +138,7 @@ class PrioritizedLevelReplay(TaskSampler):
         self, buffer: LevelBuffer, mask: jax.Array, seed: jax.Array, score: jax.Array
     ) -> LevelBuffer:
         """Replaces the scores of levels that are in the buffer; episodes are [M]."""
-        # Equal seeds in empty places come after that of a level: sorts are stable.
-        order = jnp.lexsort((~buffer.holds, buffer.seed))
-        nearest = order[jnp.searchsorted(buffer.seed, seed, sorter=order) % self.size]
-        found = mask & buffer.holds[nearest] & (buffer.seed[nearest] == seed)
-        place = jnp.where(found, nearest, self.size)
+        place = jnp.where(mask, place_of(buffer.seed, buffer.holds, seed), self.size)
         zeros = jnp.zeros(self.size, jnp.float32)
         total = zeros.at[place].add(score, mode="drop")
         times = zeros.at[place].add(1.0, mode="drop")

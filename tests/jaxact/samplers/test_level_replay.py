@@ -10,7 +10,8 @@ import pytest
 from jaxact import JaxactError
 from jaxact.pomdp import FinishedEpisodes
 from jaxact.samplers import PrioritizedLevelReplay
-from jaxact.samplers.level_replay import LevelBuffer, LevelOrigin
+from jaxact.samplers.level_replay import LevelBuffer
+from jaxact.samplers.levels import LevelOrigin
 from jaxact.train_state import make_key
 from tests.corridor import RandomStart
 
