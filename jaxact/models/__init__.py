@@ -1,6 +1,7 @@
 """Models: linen modules from observations and memory to policy and value."""
 
 from jaxact.models.actor_critic import ActorCritic as ActorCritic
+from jaxact.models.attended_words import BidirectionalWords as BidirectionalWords
 from jaxact.models.beliefs import MultipleBeliefs as MultipleBeliefs
 from jaxact.models.encoders import BagOfWords as BagOfWords
 from jaxact.models.encoders import Concatenated as Concatenated
@@ -11,6 +12,7 @@ from jaxact.models.encoders import Image as Image
 from jaxact.models.encoders import InstructedGrid as InstructedGrid
 from jaxact.models.encoders import Vector as Vector
 from jaxact.models.encoders import WordsGRU as WordsGRU
+from jaxact.models.film_actor_critic import FiLMActorCritic as FiLMActorCritic
 from jaxact.models.heads import ActorHead as ActorHead
 from jaxact.models.heads import DuelingHead as DuelingHead
 from jaxact.models.memory import GRU as GRU
@@ -27,10 +29,12 @@ __all__ = [
     "ActorCriticOutput",
     "ActorHead",
     "BagOfWords",
+    "BidirectionalWords",
     "Concatenated",
     "DuelingHead",
     "Embedding",
     "FiLM",
+    "FiLMActorCritic",
     "GridCodes",
     "Image",
     "InstructedGrid",
