@@ -25,15 +25,17 @@ Memory = tuple[jax.Array, jax.Array]
 class FiLMActorCritic(nn.Module):
     """A grid view modulated by those words of the instruction that the memory asks for.
 
-    The large model of BabyAI (Chevalier-Boisvert et al. 2019, section 4.1, with the attention of
-    its code's `attgru`), as AllenAct trains it on GoToLocal. Two convolutions with pooling lead
-    from the view to a map of features. A query made of the LSTM's memory before the step attends to
-    the words as a bidirectional GRU reads them; what was attended to modulates the map in blocks of
-    two convolutions and `FiLM`. Maxima of 2 × 2 places (for a view of 7 × 7 there are no more) go
-    into the LSTM, and perceptrons of one hidden layer make policy and value of its output.
+    The large model of BabyAI (Chevalier-Boisvert et al. 2019, https://arxiv.org/abs/1810.08272; in
+    its code `expert_filmcnn` and `attgru`), as AllenAct trains it on GoToLocal. Two convolutions
+    with pooling lead from the view to a map of features. A query made of the LSTM's memory before
+    the step attends to the words as a bidirectional GRU reads them; what was attended to modulates
+    the map in blocks of two convolutions and `FiLM`. Maxima of 2 × 2 places (for a view of 7 × 7
+    there are no more) go into the LSTM, and perceptrons of one hidden layer make policy and value
+    of its output.
 
     What does not depend on the memory is computed for all steps at once: the words, the view's
-    convolutions, and those of the first block. The rest is scanned over time.
+    convolutions, and those of the first block. The rest is scanned over time; convolutions there
+    are on so few places that they are matrix products, and cost little beside the LSTM's.
 
     Differences from BabyAI's code: features are normalised by groups of channels (Wu & He 2018),
     as embodied AI has done since DD-PPO (Wijmans et al. 2020), and not over the batch, by which a
