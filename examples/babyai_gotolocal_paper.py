@@ -1,4 +1,4 @@
-"""BabyAI-GoToLocal with AllenAct's numbers: the large model, its batches and its lengths.
+r"""BabyAI-GoToLocal with AllenAct's numbers: the large model, its batches and its lengths.
 
 python -m jaxact.train examples/babyai_gotolocal_paper.py:ppo
 
@@ -7,7 +7,8 @@ batches were made for GPUs: PPO takes 7 GiB, and 604 million floating-point oper
 environment step. `--set pipeline.lanes=64 --set model.memory_size=128` is for smaller machines.
 `bc_offline` learns from recorded demonstrations alone:
 
-python -m jaxact.collect BabyAI-GoToLocal-v0 --episodes 1000000 --output demonstrations/gotolocal
+python -m jaxact.collect examples/babyai_gotolocal_paper.py:bc_offline --episodes 1000000 \
+    --output demonstrations/gotolocal
 """
 
 from typing import Any
@@ -15,13 +16,15 @@ from typing import Any
 import optax
 
 import envs_jax
+from envs_jax.minigrid.partial_expert import partially_observing
 from jaxact import Experiment, Stage, TrainingPipeline
 from jaxact.losses import A2C, PPO, Imitation
 from jaxact.models import FiLMActorCritic
 from jaxact.schedules import Linear
 from jaxact.storages import DemonstrationStorage
 
-pomdp = envs_jax.make("BabyAI-GoToLocal-v0")
+# As AllenAct's expert does, this one knows no more of the room than the agent has seen.
+pomdp = partially_observing(envs_jax.make("BabyAI-GoToLocal-v0"))
 model = FiLMActorCritic(pomdp.action_space)
 
 REINFORCEMENT = 15e6
