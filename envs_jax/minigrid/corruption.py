@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from envs_jax.minigrid import expert as experts
 from envs_jax.minigrid import planner
 from envs_jax.minigrid.environment import FORWARD, LEFT, RIGHT
-from envs_jax.minigrid.planner import Guide
+from envs_jax.minigrid.guide import Guide, holds
 from envs_jax.minigrid.samplers.changed import ChangedEpisodes
 from envs_jax.minigrid.state import GridState
 from envs_jax.minigrid.tasks import GoalState, GoalTask
@@ -67,8 +67,8 @@ class CorruptGoalTask(GoalTask):
         assert isinstance(task_state, CorruptState)
         random = jax.random.randint(key, (), 0, self.num_actions, jnp.int32)
         guide, pose = task_state.guide, (state.position, state.direction)
-        turn = jnp.where(planner.holds(guide.right, *pose), RIGHT, FORWARD)
-        planned = jnp.where(planner.holds(guide.left, *pose), LEFT, turn)
+        turn = jnp.where(holds(guide.right, *pose), RIGHT, FORWARD)
+        planned = jnp.where(holds(guide.left, *pose), LEFT, turn)
         action = jnp.where(task_state.was_near, random, planned.astype(jnp.int32))
         return ExpertAction(action, planner.contains(guide.reached, state.position))
 
@@ -94,7 +94,7 @@ class CorruptSampler(ChangedEpisodes):
 
 def _look(task_state: CorruptState, state: GridState) -> CorruptState:
     """Returns the task's state once the agent has got to where it is."""
-    is_near = planner.holds(task_state.guide.near, state.position, state.direction)
+    is_near = holds(task_state.guide.near, state.position, state.direction)
     return replace(task_state, was_near=task_state.was_near | is_near)
 
 

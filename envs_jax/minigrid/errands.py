@@ -168,13 +168,12 @@ def _advise(
     )
     target = jnp.where(must_drop, _drop_cells(subgoal, step.cells, world), step.cells)
     stands = subgoal.stands & (step.action == subgoal.action) & ~must_drop
-    goals = jnp.where(stands, planner.standing(target), planner.facing(target))
     terrain = Terrain(
         open=world.walkable[None],
         slow=(world.closed | world.fitting)[None],
         gates=jnp.zeros((0, height), world.walkable.dtype),
     )
-    plan = planner.plan(terrain, goals, state.position, state.direction)
+    plan = planner.plan(terrain, target, state.position, state.direction, stands=stands)
 
     ahead = at_index(state.tiles, front_index(state, height)) & tiles.TYPE_MASK
     arrival = jnp.where(step.is_for_key & (ahead == tiles.BOX), TOGGLE, step.action)

@@ -28,7 +28,8 @@ from envs_jax.minigrid.environment import (
     front_index,
     is_kind,
 )
-from envs_jax.minigrid.planner import Board, Guide, Plan, Terrain
+from envs_jax.minigrid.guide import Guide, make_guide
+from envs_jax.minigrid.planner import Board, Plan, Terrain
 from envs_jax.minigrid.state import PADDING, GridState
 from jaxact.pomdp import ExpertAction
 
@@ -79,9 +80,8 @@ def goal_expert(
     """
     del key, task_state
     cells = _cells(state.tiles)
-    goals = planner.facing(_goals(cells))
     terrain, layer = _layers(_survey(cells, state.carrying, spare_keys=True), state.carrying)
-    plan = planner.plan(terrain, goals, state.position, state.direction, layer)
+    plan = planner.plan(terrain, _goals(cells), state.position, state.direction, layer)
     # The plan ends in front of the goal.
     return ExpertAction(_name(plan, state, height, FORWARD), plan.reached)
 
@@ -89,11 +89,11 @@ def goal_expert(
 def goal_guide(state: GridState, near: int) -> Guide:
     """Returns the plans of `goal_expert` for all poses, as long as nothing is moved or opened.
 
-    They end in front of a goal square; see `planner.guide` for `near`.
+    They end in front of a goal square; see `guide.make_guide` for `near`.
     """
     cells = _cells(state.tiles)
     walkable = planner.pack(is_kind(cells, _WALKABLE))
-    return planner.guide(walkable, planner.facing(_goals(cells)), near)
+    return make_guide(walkable, _goals(cells), near)
 
 
 def goto_expert(
@@ -124,14 +124,14 @@ def goto_expert(
     del key
     cells = _cells(state.tiles)
     tracked = planner.pack(_cells(state.marks) & jnp.uint16(1) != 0)
-    goals = planner.facing(tracked ^ task_state.ghosts[0].astype(tracked.dtype))
+    targets = tracked ^ task_state.ghosts[0].astype(tracked.dtype)
     survey = _survey(cells, state.carrying, spare_keys=False)
     terrain, layer = _layers(survey, state.carrying)
-    plan = planner.plan(terrain, goals, state.position, state.direction, layer)
+    plan = planner.plan(terrain, targets, state.position, state.direction, layer)
 
     cleared = _with_loose_objects_slow(survey, state.carrying)
     detour = planner.plan(
-        cleared, goals, state.position, state.direction, layer, active=~plan.reached
+        cleared, targets, state.position, state.direction, layer, active=~plan.reached
     )
     hands_full = state.carrying != 0
     holds_target = state.carrying_mark & jnp.uint16(1) != 0

@@ -14,6 +14,8 @@ of shortest pieces.
 from __future__ import annotations
 
 import functools
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -28,10 +30,10 @@ from jaxact.compaction import together
 LEFT, RIGHT, FORWARD, ACT, ARRIVED = range(5)
 
 MAX_WIDTH = 32
-# Relaxations between two looks at whether the search is over.
-_CHUNK = 4
-# When one lane in so many is left, the search goes on with these alone.
-_FEW = 8
+# Actions between two looks at whether the search is over.
+_LEAP = 4
+# When one lane in so many is left, the search goes on with these alone; if there were many at all.
+_FEW, _MANY = 8, 256
 
 Board = jax.Array
 
@@ -71,24 +73,6 @@ class Plan:
     reached: jax.Array
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Guide:
-    """The beginnings of shortest plans from all poses, in a world that does not change.
-
-    Attributes:
-      left: word[4, H], poses from which a plan begins with a turn to the left.
-      right: word[4, H], those of the others from which it begins with a turn to the right.
-      near: word[4, H], poses from which few actions lead to a goal pose.
-      reached: word[H], cells from which there is a plan.
-    """
-
-    left: Board
-    right: Board
-    near: Board
-    reached: Board
-
-
 def pack(cells: jax.Array) -> Board:
     """Turns cells bool[W, H], W at most 32, into a bitboard word[H].
 
@@ -108,27 +92,26 @@ def contains(board: Board, position: jax.Array) -> jax.Array:
     return (board[position[1]] >> position[0].astype(board.dtype)) & 1 != 0
 
 
-def holds(poses: Board, position: jax.Array, direction: jax.Array) -> jax.Array:
-    """Says whether word[4, H] has the pose at `position`, int32[2], in `direction`; bool scalar."""
-    return contains(poses[direction], position)
-
-
-def facing(cells: Board) -> Board:
-    """Returns word[4, H], for each heading the cells from which one of `cells` is in front."""
-    return jnp.stack(_behind((cells,) * 4))
-
-
-def standing(cells: Board) -> Board:
-    """Returns word[4, H], the poses on one of `cells`, in any heading."""
-    return jnp.stack((cells,) * 4)
+def behind(boards: Sequence[Board]) -> tuple[Board, Board, Board, Board]:
+    """Moves poses, four boards word[H, ...] for the four headings, one cell back."""
+    edges = [(0, 0, 0)] * (boards[0].ndim - 1)
+    zero = jnp.zeros((), boards[0].dtype)
+    return (
+        boards[0] >> 1,
+        lax.pad(boards[1], zero, [(-1, 1, 0), *edges]),
+        boards[2] << 1,
+        lax.pad(boards[3], zero, [(1, -1, 0), *edges]),
+    )
 
 
 def plan(
     terrain: Terrain,
-    goals: Board,
+    targets: Board,
     position: jax.Array,
     direction: jax.Array,
     layer: jax.Array | int = 0,
+    *,
+    stands: jax.Array | bool = False,
     active: jax.Array | bool = True,
 ) -> Plan:
     """Finds a shortest plan from a pose to any goal pose.
@@ -139,17 +122,19 @@ def plan(
 
     Args:
       terrain: where one may walk.
-      goals: word[4, H], goal poses of every layer, as of `facing` or `standing`.
+      targets: word[H], cells. Goals are the poses, of every layer, that face one of them.
       position: int32[2], (x, y).
       direction: int32 scalar, 0 right, 1 down, 2 left, 3 up.
       layer: int32 scalar, the layer one is in.
+      stands: bool scalar; goals are then the poses on the cells instead, in any heading.
       active: bool scalar; a lane that is not is not waited for, and its plan is not reached.
 
     Returns:
       The plan's first action and length.
     """
     layer = jnp.asarray(layer, jnp.int32)
-    headings, reached = _search(terrain, goals, position, direction, layer, jnp.asarray(active))
+    flags = jnp.asarray(stands), jnp.asarray(active)
+    headings, reached = _search(terrain, targets, position, direction, layer, *flags)
     distance = headings[direction]
     left, right = headings[(direction + 3) % 4], headings[(direction + 1) % 4]
     ahead = position + jnp.array([[1, 0], [0, 1], [-1, 0], [0, -1]], jnp.int32)[direction]
@@ -158,39 +143,6 @@ def plan(
         [distance == 0, left < distance, right < distance], [ARRIVED, LEFT, RIGHT], straight
     )
     return Plan(action.astype(jnp.int32), distance, reached)
-
-
-def guide(walkable: Board, goals: Board, near: int) -> Guide:
-    """Finds the beginnings of shortest plans from everywhere, of those `plan` would find.
-
-    Args:
-      walkable: word[H], cells entered by a step forward; there are no others to get through.
-      goals: word[4, H], goal poses.
-      near: how many actions to a goal pose are few.
-    """
-    return _guide(walkable, goals, jnp.asarray(near, jnp.int32))
-
-
-@together
-def _guide(walkable: Board, goals: Board, near: jax.Array) -> Guide:
-    """Guides N lanes at once; every argument has a leading axis N."""
-    open_ = walkable.T
-
-    def grow(carry: tuple[jax.Array, tuple[Board, ...], jax.Array]) -> Any:
-        actions, (now, left, right, close), _ = carry
-        before, after = jnp.roll(now, 1, axis=0), jnp.roll(now, -1, axis=0)
-        new = (before | after | jnp.stack(_behind(tuple(now)))) & open_ & ~now
-        left, right = left | new & before, right | new & after & ~before
-        close = jnp.where(actions < near, close | new, close)
-        return actions + 1, (now | new, left, right, close), jnp.any(new != 0)
-
-    seeds = jnp.moveaxis(goals, 0, -1) & open_
-    nothing = jnp.zeros_like(seeds)
-    close = jnp.where(near >= 0, seeds, nothing)
-    begin = (jnp.int32(0), (seeds, nothing, nothing, close), jnp.bool_(True))
-    _, boards, _ = lax.while_loop(lambda carry: carry[-1], grow, begin)
-    reached, left, right, close = (jnp.moveaxis(board, -1, 0) for board in boards)
-    return Guide(left, right, close, reached[:, 0])
 
 
 class _World(NamedTuple):
@@ -203,35 +155,32 @@ class _World(NamedTuple):
       slow: L boards, or None where no lane has a slow cell.
       gates: L - 1 times four boards, one a heading: poses that face a gate.
       goals: four boards.
-      row, column, direction, layer: int32[N], the lanes' own poses.
-      active: bool[N].
+      here: L boards: the cell that the lane is in, in its layer.
+      direction: int32[N], the lane's heading.
     """
 
     open: tuple[Board, ...]
     slow: tuple[Board, ...] | None
     gates: tuple[tuple[Board, ...], ...]
     goals: tuple[Board, ...]
-    row: jax.Array
-    column: jax.Array
+    here: tuple[Board, ...]
     direction: jax.Array
-    layer: jax.Array
-    active: jax.Array
 
 
 # Poses reached, as boards[layer][heading].
 _Boards = tuple[tuple[Board, ...], ...]
-# The boards; those of one action ago, nothing without slow cells; int32[4, N], the distances so far
-# of the four headings; bool[N], which lanes wait.
-_Search = tuple[_Boards, _Boards, jax.Array, jax.Array]
+# Those, and those of one action ago: nothing, where there are no slow cells.
+_Reached = tuple[_Boards, _Boards]
 
 
 @together
 def _search(
     terrain: Terrain,
-    goals: Board,
+    targets: Board,
     position: jax.Array,
     direction: jax.Array,
     layer: jax.Array,
+    stands: jax.Array,
     active: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     """Searches for N lanes at once; every argument has a leading axis N.
@@ -240,90 +189,124 @@ def _search(
       int32[N, 4], distances of the four headings at each lane's cell and layer, exact up to that of
       its own heading and no less than that beyond; and bool[N], whether its pose was reached.
     """
-    opens, slows, gates, seeds = (
-        jnp.moveaxis(boards, 0, -1) for boards in (terrain.open, terrain.slow, terrain.gates, goals)
+    opens, slows, gates, cells = (
+        jnp.moveaxis(boards, 0, -1)
+        for boards in (terrain.open, terrain.slow, terrain.gates, targets)
     )
-    layered = _World(
+    row = jnp.arange(opens.shape[1], dtype=jnp.int32)[:, None] == position[:, 1]
+    nowhere = jnp.zeros((), opens.dtype)
+    cell = jnp.where(row, jnp.ones_like(nowhere) << position[:, 0].astype(opens.dtype), nowhere)
+    world = _World(
         open=tuple(opens),
         slow=tuple(slows),
-        gates=tuple(_behind((board,) * 4) for board in gates),
-        goals=tuple(seeds),
-        row=position[:, 1],
-        column=position[:, 0],
+        gates=tuple(behind((board,) * 4) for board in gates),
+        goals=tuple(jnp.where(stands, cells, board) for board in behind((cells,) * 4)),
+        here=tuple(jnp.where(layer == level, cell, nowhere) for level in range(len(opens))),
         direction=direction,
-        layer=layer,
-        active=active,
     )
     # Few worlds have doors; a look at all lanes at once spares the others layers and slow cells.
     has_slow, has_gates = (
-        jnp.any(active[:, None, None] & jnp.any(boards != 0, axis=1))
+        jnp.any(active & jnp.any(boards != 0, axis=(1, 2)))
         for boards in (terrain.slow, terrain.gates)
     )
-    world = jax.tree.map(
-        lambda all_layers, own: jnp.where(has_gates, all_layers, own), layered, _own_layer(layered)
-    )
-    few = len(layer) // _FEW
-    levels = [1, len(opens)] if gates.shape[0] else [1]
-    variants = [(level, has_slow) for level in levels for has_slow in (False, True)]
-    variant = has_slow.astype(jnp.int32) + 2 * has_gates.astype(jnp.int32)
-    carry = lax.switch(variant, [functools.partial(_begin, world, few, *v) for v in variants])
-    headings, missed = carry[2], _waiting(world, carry[0])
-    if few > 0:
-        lanes, headings_of_few, missed_of_few = _go_on(world, few, carry)
-        headings = headings.at[:, lanes].set(headings_of_few, mode="drop")
-        missed = missed.at[lanes].set(missed_of_few, mode="drop")
-    return headings.T, active & ~missed
+    variants = [
+        functools.partial(_search_variant, world, layer, active, *choice)
+        for choice in itertools.product((False, True), repeat=2)
+    ]
+    if world.gates:
+        variant = has_slow.astype(jnp.int32) + 2 * has_gates.astype(jnp.int32)
+    else:
+        variant, variants = has_slow.astype(jnp.int32), variants[:2]
+    distances, reached = lax.switch(variant, variants)
+    return distances.T, reached
 
 
-def _own_layer(world: _World) -> _World:
-    """Returns the world with each lane's layer as the first, and nothing in the others."""
-    lanes = jnp.arange(len(world.layer))
+def _search_variant(
+    world: _World, layer: jax.Array, active: jax.Array, has_gates: bool, has_slow: bool
+) -> tuple[jax.Array, jax.Array]:
+    """Searches as `_search` does, without what there is not."""
+    if not has_slow:
+        world = world._replace(slow=None)
+    if not has_gates:
+        world = _own_layer(world, layer)
+    boards = tuple(tuple(goal & cells for goal in world.goals) for cells in _passable(world))
+    begin = boards, jax.tree.map(jnp.zeros_like, boards) if has_slow else ()
+    waits = active & _is_missing(world, boards)
+    distances, missed = _arrive(world, begin, jnp.zeros(active.shape, jnp.int32), waits)
+    return distances, active & ~missed
 
-    def alone(boards: tuple[Board, ...]) -> tuple[Board, ...]:
-        own = jnp.stack(boards)[world.layer, :, lanes].T
-        return (own, *(jnp.zeros_like(own) for _ in boards[1:]))
 
-    assert world.slow is not None
+def _own_layer(world: _World, layer: jax.Array) -> _World:
+    """Returns the world with each lane's own layer, int32[N], as the only one."""
+
+    def own(boards: tuple[Board, ...]) -> tuple[Board]:
+        chosen = boards[0]
+        for level, board in enumerate(boards):
+            chosen = jnp.where(layer == level, board, chosen)
+        return (chosen,)
+
     return world._replace(
-        open=alone(world.open),
-        slow=alone(world.slow),
-        gates=jax.tree.map(jnp.zeros_like, world.gates),
-        layer=jnp.zeros_like(world.layer),
+        open=own(world.open),
+        slow=None if world.slow is None else own(world.slow),
+        gates=(),
+        here=own(world.here),
     )
 
 
-def _begin(world: _World, few: int, levels: int, has_slow: bool) -> _Search:
-    """Searches in so many layers, with or without slow cells, until only few lanes wait."""
-    assert world.slow is not None
-    part = world._replace(
-        open=world.open[:levels],
-        slow=world.slow[:levels] if has_slow else None,
-        gates=world.gates[: levels - 1],
-    )
-    boards = tuple(tuple(goal & cells for goal in world.goals) for cells in _passable(part))
-    before: Any = jax.tree.map(jnp.zeros_like, boards) if has_slow else ()
-    headings = jnp.zeros((4, len(world.active)), jnp.int32)
-    carry = _grow(part, (boards, before, headings, _waiting(part, boards)), few)
-    boards, before, headings, waits = carry
-    rest = jax.tree.map(jnp.zeros_like, (boards[0],) * (len(world.open) - levels))
-    # Where there are no slow cells, it does not matter what is taken for the boards before.
-    return (*boards, *rest), (*(before if has_slow else boards), *rest), headings, waits
+def _arrive(
+    world: _World, begin: _Reached, actions: jax.Array, waits: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Searches until the pose of every lane that waits has been reached or is known not to be.
 
+    First by so many actions at a time, without a look at the lanes in between, to the last such
+    moment before each lane's pose is reached; then once more from there, action by action. When few
+    lanes are left, the search goes on with these alone.
 
-def _go_on(world: _World, few: int, carry: _Search) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Searches on in the few lanes that wait, by themselves.
+    Args:
+      world: the terrains and poses.
+      begin: the poses reached so far.
+      actions: int32[N], in so many actions.
+      waits: bool[N], the lanes whose poses were not reached.
 
     Returns:
-      int32[few], which lanes they are (others than there are, where they are fewer); int32[4, few],
-      their distances; and bool[few], whether their poses were not reached.
+      int32[4, N], distances as of `_search`, and bool[N], whether the lane's pose was not reached.
     """
-    size = len(world.active)
-    lanes = jnp.nonzero(carry[-1], size=few, fill_value=size)[0].astype(jnp.int32)
-    part, (boards, before, headings, waits) = jax.tree.map(
-        lambda leaf: jnp.take(leaf, lanes, axis=-1, mode="clip"), (world, carry)
-    )
-    carry = _grow(part, (boards, before, headings, waits & (lanes < size)), 0)
-    return lanes, carry[2], _waiting(part, carry[0])
+    size = waits.shape[0]
+    few = size // _FEW if size >= _MANY else 0
+    grow = functools.partial(_grow, world, _passable(world))
+
+    def leap(carry: Any) -> Any:
+        before, actions, waits = carry
+        after = lax.fori_loop(0, _LEAP, lambda _, reached: grow(reached), before)
+        pairs = zip(jax.tree.leaves(before[0]), jax.tree.leaves(after[0]), strict=True)
+        changed = functools.reduce(jnp.bitwise_or, (old ^ new for old, new in pairs))
+        waits &= _has_any(changed) & _is_missing(world, after[0])
+        return _where(waits, after, before), actions + _LEAP * waits.astype(jnp.int32), waits
+
+    def step(_: int, carry: Any) -> Any:
+        reached, distances = carry
+        return grow(reached), distances + _missing(world, reached[0])
+
+    def many_wait(carry: Any) -> jax.Array:
+        return jnp.sum(carry[-1], dtype=jnp.int32) > few
+
+    reached, actions, waits = lax.while_loop(many_wait, leap, (begin, actions, waits))
+    distances = jnp.broadcast_to(actions, (4, size))
+    last, distances = lax.fori_loop(0, _LEAP, step, (reached, distances))
+    missed = _is_missing(world, last[0])
+    if few:
+        lanes = jnp.nonzero(waits, size=few, fill_value=size)[0].astype(jnp.int32)
+        part, begun, spent = jax.tree.map(
+            lambda leaf: jnp.take(leaf, lanes, axis=-1, mode="clip"), (world, reached, actions)
+        )
+        distances_of_few, missed_of_few = _arrive(part, begun, spent, lanes < size)
+        distances = distances.at[:, lanes].set(distances_of_few, mode="drop")
+        missed = missed.at[lanes].set(missed_of_few, mode="drop")
+    return distances, missed
+
+
+def _where(condition: jax.Array, this: _Reached, that: _Reached) -> _Reached:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), this, that)
 
 
 def _passable(world: _World) -> tuple[Board, ...]:
@@ -332,32 +315,9 @@ def _passable(world: _World) -> tuple[Board, ...]:
     return tuple(a | b for a, b in zip(world.open, world.slow, strict=True))
 
 
-def _grow(world: _World, carry: _Search, few: int) -> _Search:
-    """Grows the reached poses for as long as more than a few lanes wait."""
-    passable = _passable(world)
-
-    def once(_: int, carry: Any) -> Any:
-        boards, before, headings = carry
-        grown = _relax(world, passable, boards, before)
-        before = before if world.slow is None else boards
-        return grown, before, headings + _missing(world, boards)
-
-    def chunk(carry: Any) -> Any:
-        start, before, headings, _ = carry
-        boards, before, headings = lax.fori_loop(0, _CHUNK, once, (start, before, headings))
-        pairs = zip(jax.tree.leaves(start), jax.tree.leaves(boards), strict=True)
-        changed = functools.reduce(jnp.bitwise_or, (old ^ new for old, new in pairs))
-        growing = jnp.any(changed != 0, axis=0)
-        return boards, before, headings, _waiting(world, boards) & growing
-
-    def many_wait(carry: Any) -> jax.Array:
-        return jnp.sum(carry[-1], dtype=jnp.int32) > few
-
-    return lax.while_loop(many_wait, chunk, carry)
-
-
-def _relax(world: _World, passable: Any, boards: _Boards, before: Any) -> _Boards:
+def _grow(world: _World, passable: tuple[Board, ...], reached: _Reached) -> _Reached:
     """Adds the poses one action further; through slow cells, from the boards one action ago."""
+    boards, before = reached
     layers = []
     for level, now in enumerate(boards):
         arrivals = now
@@ -366,7 +326,7 @@ def _relax(world: _World, passable: Any, boards: _Boards, before: Any) -> _Board
             arrivals = tuple(
                 (new & fast) | (old & slow) for new, old in zip(now, before[level], strict=True)
             )
-        steps = _behind(arrivals)
+        steps = behind(arrivals)
         grown = []
         for heading in range(4):
             board = now[heading] | now[heading - 1] | now[(heading + 1) % 4] | steps[heading]
@@ -374,37 +334,27 @@ def _relax(world: _World, passable: Any, boards: _Boards, before: Any) -> _Board
                 board |= world.gates[level][heading] & boards[level + 1][heading]
             grown.append(board & passable[level])
         layers.append(tuple(grown))
-    return tuple(layers)
-
-
-def _behind(boards: tuple[Board, ...]) -> tuple[Board, ...]:
-    """Moves poses word[H, ...], one board a heading, one cell back."""
-    edges = [(0, 0, 0)] * (boards[0].ndim - 1)
-    zero = jnp.zeros((), boards[0].dtype)
-    return (
-        boards[0] >> 1,
-        lax.pad(boards[1], zero, [(-1, 1, 0), *edges]),
-        boards[2] << 1,
-        lax.pad(boards[3], zero, [(1, -1, 0), *edges]),
-    )
+    return tuple(layers), () if world.slow is None else boards
 
 
 def _missing(world: _World, boards: _Boards) -> jax.Array:
     """Returns int32[4, N]: 1 for each heading, at the lane's cell and layer, not yet reached."""
-    row = world.row[None]
-    words = jnp.stack(
-        [
-            jnp.stack([jnp.take_along_axis(board, row, axis=0)[0] for board in level])
-            for level in boards
-        ]
-    )
-    own = words[0]
-    for level in range(1, len(boards)):
-        own = jnp.where(world.layer == level, words[level], own)
-    return (~(own >> world.column.astype(own.dtype)) & 1).astype(jnp.int32)
+    missing = []
+    for heading in range(4):
+        there = [board[heading] & cell for board, cell in zip(boards, world.here, strict=True)]
+        missing.append(~_has_any(functools.reduce(jnp.bitwise_or, there)))
+    return jnp.stack(missing).astype(jnp.int32)
 
 
-def _waiting(world: _World, boards: _Boards) -> jax.Array:
-    """Returns bool[N]: which lanes' poses were not reached yet."""
-    lanes = jnp.arange(len(world.active))
-    return world.active & (_missing(world, boards)[world.direction, lanes] != 0)
+def _has_any(board: Board) -> jax.Array:
+    """Returns bool[N]: whether there is anything on a lane's board, word[H, N].
+
+    Row by row: that runs along the lanes, where a reduction goes through the rows of one lane.
+    """
+    return functools.reduce(jnp.bitwise_or, [board[row] for row in range(len(board))]) != 0
+
+
+def _is_missing(world: _World, boards: _Boards) -> jax.Array:
+    """Returns bool[N]: whether the lane's pose was not yet reached."""
+    lanes = jnp.arange(len(world.direction), dtype=jnp.int32)
+    return _missing(world, boards)[world.direction, lanes] != 0

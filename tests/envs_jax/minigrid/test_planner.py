@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from envs_jax.minigrid import planner
+from envs_jax.minigrid.guide import holds, make_guide
 from envs_jax.minigrid.planner import ACT, ARRIVED, FORWARD, LEFT, RIGHT, Plan, Terrain
 
 STEPS = [(1, 0), (0, 1), (-1, 0), (0, -1)]
@@ -37,8 +38,7 @@ def make_mazes(count: int, layers: int, seed: int) -> dict[str, np.ndarray]:
 def plan(kinds: jax.Array, goals: jax.Array, position: jax.Array, direction: jax.Array) -> Plan:
     layers = lambda kind: jax.vmap(planner.pack)(kinds == kind)  # noqa: E731
     terrain = Terrain(layers(1), layers(2), layers(3)[:-1])
-    faced = planner.facing(planner.pack(goals))
-    return planner.plan(terrain, faced, position, direction)
+    return planner.plan(terrain, planner.pack(goals), position, direction)
 
 
 def successors(kinds: np.ndarray, pose: tuple[int, ...]) -> dict[int, tuple[tuple[int, ...], int]]:
@@ -126,14 +126,12 @@ def test_a_guide_has_the_plans_from_all_poses() -> None:
 
     def both(kinds: jax.Array, goals: jax.Array) -> tuple[Plan, dict[str, jax.Array]]:
         cells = kinds == 1
-        guide = planner.guide(planner.pack(cells[0]), planner.facing(planner.pack(goals)), near)
+        guide = make_guide(planner.pack(cells[0]), planner.pack(goals), near)
 
         def look(pose: jax.Array) -> tuple[Plan, dict[str, jax.Array]]:
             position, direction = pose[:2], pose[2]
             turns = {name: getattr(guide, name) for name in ("left", "right", "near")}
-            said = {
-                name: planner.holds(poses, position, direction) for name, poses in turns.items()
-            }
+            said = {name: holds(poses, position, direction) for name, poses in turns.items()}
             said["reached"] = planner.contains(guide.reached, position)
             return plan(cells.astype(int), goals, position, direction), said
 
@@ -153,9 +151,13 @@ def test_standing_goals_and_inactive_lanes() -> None:
     terrain = Terrain(
         planner.pack(room)[None], jnp.zeros((1, 4), jnp.uint8), jnp.zeros((0, 4), jnp.uint8)
     )
-    goals = planner.standing(planner.pack(jnp.zeros((5, 4), bool).at[3, 2].set(True)))
+    target = planner.pack(jnp.zeros((5, 4), bool).at[3, 2].set(True))
     start = jnp.array([1, 1], jnp.int32)
-    plan_to = jax.jit(lambda pose, heading, on: planner.plan(terrain, goals, pose, heading, 0, on))
+    plan_to = jax.jit(
+        lambda pose, heading, on: planner.plan(
+            terrain, target, pose, heading, stands=True, active=on
+        )
+    )
     found = plan_to(start, jnp.int32(0), True)
     assert (int(found.distance), int(found.action), bool(found.reached)) == (4, FORWARD, True)
     there = plan_to(jnp.array([3, 2], jnp.int32), jnp.int32(3), True)
