@@ -7,6 +7,7 @@ own, so that it joins one room on either side; by induction all rooms are joined
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
@@ -14,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from envs_jax.houses import categories
+from envs_jax.houses.draws import Shape
 
 HALF_WALL = 0.05
 NARROWEST_DOOR = 0.9
@@ -71,8 +73,14 @@ class FloorPlan:
     ceiling: jax.Array
 
 
+def shapes(most_rooms: int) -> tuple[Shape, ...]:
+    """Returns the shapes of the random numbers that `draw_plan` takes."""
+    walls = most_rooms - 1
+    return ((), (most_rooms,), (walls, 3), (most_rooms, 5), (most_rooms + 1,))
+
+
 def draw_plan(
-    key: jax.Array,
+    draws: Sequence[jax.Array],
     size: jax.Array,
     rooms: jax.Array,
     most_rooms: int,
@@ -82,26 +90,26 @@ def draw_plan(
     """Draws a floor of up to so many rooms; all work is of fixed size.
 
     Args:
-      key: a PRNG key.
+      draws: uniform float32 of `shapes`.
       size: float32 [2], the floor's extent along x and z, from wall to wall.
       rooms: int32 scalar, how many rooms to make if they are not to become too small.
       most_rooms: the greatest value of `rooms`.
       widest_door: metres.
       lintels: whether there is wall above doorways.
     """
-    split_key, door_key, window_key, ceiling_key, entrance_key = jax.random.split(key, 5)
-    ceiling = jax.random.uniform(ceiling_key, (), jnp.float32, 2.5, 3.0)
-    cells, walls = _split(split_key, size, rooms, most_rooms)
-    holes = _doorways(door_key, walls, widest_door)
+    height, cuts, doors, windows, entries = draws
+    ceiling = 2.5 + 0.5 * height
+    cells, walls = _split(cuts, size, rooms)
+    holes = _doorways(doors, walls, widest_door)
     used = cells[:, 2] > cells[:, 0]
     interior = cells + HALF_WALL * jnp.array([1, 1, -1, -1], jnp.float32)
     interior = jnp.where(used[:, None], interior, 0.0)
-    entrance, before_entrance = _entrance(entrance_key, interior)
+    entrance, before_entrance = _entrance(entries, interior)
     parts = [
         (_outer_walls(size, ceiling), "Wall"),
         (_inner_walls(walls, holes, ceiling, lintels), "Wall"),
         (entrance[None], "Door"),
-        (_windows(window_key, cells, used, size), "Window"),
+        (_windows(windows, cells, used, size), "Window"),
     ]
     category = [np.full(len(rows), categories.index(name), np.int32) for rows, name in parts]
     structure = jnp.concatenate([rows for rows, _ in parts])
@@ -117,14 +125,14 @@ def draw_plan(
 
 
 def _split(
-    key: jax.Array, size: jax.Array, rooms: jax.Array, most_rooms: int
+    draws: jax.Array, size: jax.Array, rooms: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Cuts the floor into cells float32 [R, 4], between the middles of their walls.
 
     The walls are float32 [R − 1, 4]: 0 if it runs along x and 1 if along z, its other coordinate,
     and from where to where it runs; nowhere if it was not built.
     """
-    draws = jax.random.uniform(key, (most_rooms,), jnp.float32)
+    most_rooms = len(draws)
     cells = jnp.zeros((most_rooms, 4), jnp.float32).at[0, 2:].set(size)
 
     def cut(cells: jax.Array, i: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -149,12 +157,11 @@ def _split(
     return jax.lax.scan(cut, cells, jnp.arange(most_rooms - 1, dtype=jnp.int32))
 
 
-def _doorways(key: jax.Array, walls: jax.Array, widest: float) -> jax.Array:
+def _doorways(draws: jax.Array, walls: jax.Array, widest: float) -> jax.Array:
     """Returns from where to where each wall is open, float32 [R − 1, 2]."""
     count = len(walls)
     if not count:
         return jnp.zeros((0, 2), jnp.float32)
-    draws = jax.random.uniform(key, (count, 3), jnp.float32)
     direction, at, start, end = walls.T
     crosses = direction[:, None] != direction[None]
     ends_here = (start[None] == at[:, None]) | (end[None] == at[:, None])
@@ -162,7 +169,7 @@ def _doorways(key: jax.Array, walls: jax.Array, widest: float) -> jax.Array:
     meets = crosses & ends_here & within & (end > start)[None]
     # The stretches of a wall between those that meet it; the unused ones have no length.
     ends = jnp.where(meets, at[None], end[:, None])
-    ends = jnp.sort(jnp.concatenate([start[:, None], ends, end[:, None]], axis=1), axis=1)
+    ends = _sorted(jnp.concatenate([start[:, None], ends, end[:, None]], axis=1))
     length = ends[:, 1:] - ends[:, :-1] - 2 * _BESIDE_DOOR
     # Where none will do, which rounding could bring about, the longest is the best there is.
     weight = jnp.where(length >= NARROWEST_DOOR, length, 1e-6 * jnp.maximum(length, 0.0))
@@ -175,6 +182,23 @@ def _doorways(key: jax.Array, walls: jax.Array, widest: float) -> jax.Array:
     begin = low + draws[:, 2] * (longest - width)
     hole = jnp.stack([begin, begin + width], axis=1)
     return jnp.where((end > start)[:, None], hole, jnp.float32(0))
+
+
+def _ranks(values: jax.Array) -> jax.Array:
+    """Returns int32 [..., n]: how many come before each of `values`; of equals, the first does.
+
+    Of so few, comparing all with all is cheaper than a sort, to compile as well as to run.
+    """
+    row = jnp.arange(values.shape[-1], dtype=jnp.int32)
+    one, other = values[..., :, None], values[..., None, :]
+    before = (other < one) | ((other == one) & (row < row[:, None]))
+    return jnp.sum(before, axis=-1, dtype=jnp.int32)
+
+
+def _sorted(values: jax.Array) -> jax.Array:
+    """Returns `values` [..., n] in ascending order."""
+    place = _ranks(values)[..., None, :] == jnp.arange(values.shape[-1], dtype=jnp.int32)[:, None]
+    return jnp.sum(jnp.where(place, values[..., None, :], 0.0), axis=-1)
 
 
 def _oriented(walls: jax.Array, spans: jax.Array, half: float) -> jax.Array:
@@ -226,9 +250,8 @@ def _before(walls: jax.Array, holes: jax.Array) -> jax.Array:
     return _oriented(walls, holes, HALF_WALL + _DOOR_DEPTH)
 
 
-def _entrance(key: jax.Array, interior: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _entrance(draws: jax.Array, interior: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Returns a shut door in the wall of least z, [6], and what is to stay clear before it, [4]."""
-    draws = jax.random.uniform(key, (len(interior) + 1,), jnp.float32)
     outside = (interior[:, 1] < 2 * HALF_WALL) & (interior[:, 2] > interior[:, 0])
     room = interior[jnp.argmax(jnp.where(outside, draws[1:], -1.0))]
     low = room[0] + 0.2 + draws[0] * (room[2] - room[0] - NARROWEST_DOOR - 0.4)
@@ -240,10 +263,8 @@ def _entrance(key: jax.Array, interior: jax.Array) -> tuple[jax.Array, jax.Array
     return jnp.stack(door), jnp.stack(clear)
 
 
-def _windows(key: jax.Array, cells: jax.Array, used: jax.Array, size: jax.Array) -> jax.Array:
+def _windows(draws: jax.Array, cells: jax.Array, used: jax.Array, size: jax.Array) -> jax.Array:
     """Returns a window for each room that has an outer wall without the entrance, [R, 6]."""
-    count = len(cells)
-    draws = jax.random.uniform(key, (count, 5), jnp.float32)
     x_low, z_low, x_high, z_high = cells.T
     at_edge = jnp.stack([x_low <= 0, x_high >= size[0], z_high >= size[1]], axis=1)
     chosen = jnp.argmax(jnp.where(at_edge, draws[:, :3], -1.0), axis=1)
@@ -261,6 +282,6 @@ def _windows(key: jax.Array, cells: jax.Array, used: jax.Array, size: jax.Array)
 def _kinds(cells: jax.Array, used: jax.Array) -> jax.Array:
     """Returns what each room is, by its rank in area, int32 [R]."""
     area = (cells[:, 2] - cells[:, 0]) * (cells[:, 3] - cells[:, 1])
-    rank = jnp.argsort(jnp.argsort(-area))
+    rank = _ranks(-area)
     kinds = jnp.asarray(_KINDS)[jnp.sum(used, dtype=jnp.int32) - 1]
     return jnp.where(used, kinds[rank], 0)

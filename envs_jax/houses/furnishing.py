@@ -12,6 +12,7 @@ the ends of what stands in the open (chairs are at its sides).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
@@ -20,6 +21,7 @@ import numpy as np
 
 from envs_jax.houses import categories
 from envs_jax.houses.asset_sizes import RECEPTACLES, SIZES
+from envs_jax.houses.draws import Shape
 from envs_jax.houses.floor_plans import FloorPlan
 
 WIDEST_BODY = 0.2
@@ -37,7 +39,8 @@ _CANDIDATES = 16
 AT_WALL, IN_OPEN, AT_TABLE = range(3)
 OPEN, TABLE = 4, 5  # Beside the walls 0 … 3: x low, x high, z low, z high.
 ABSENT = -1
-_WALL_YAW = np.array([90, 270, 0, 180], np.float32)
+# Cosine and sine of the yaw of what stands at a wall, with its back to it.
+_FROM_WALL = np.array([[0, 1], [0, -1], [1, 0], [-1, 0]], np.float32)
 
 # Assets that are L-shaped, have back rests or head boards, or are no box for other reasons, and
 # televisions that most stands are too short for: a box with their bounds would be something else.
@@ -159,7 +162,7 @@ class Pieces:
     """Things that were placed, as rows of one table, which is quick to compile and to update.
 
     Attributes:
-      rows: float32 [M, 18], the columns that the properties name.
+      rows: float32 [M, 19], the columns that the properties name.
     """
 
     rows: jax.Array
@@ -180,34 +183,34 @@ class Pieces:
         return self.rows[:, 2].astype(jnp.int32)
 
     @property
-    def yaw(self) -> jax.Array:
-        """Float32 [M], degrees."""
-        return self.rows[:, 3]
+    def turn(self) -> jax.Array:
+        """Float32 [M, 2], the cosine and the sine of its yaw."""
+        return self.rows[:, 3:5]
 
     @property
     def center(self) -> jax.Array:
         """Float32 [M, 3]."""
-        return self.rows[:, 4:7]
+        return self.rows[:, 5:8]
 
     @property
     def half_size(self) -> jax.Array:
         """Float32 [M, 3]."""
-        return self.rows[:, 7:10]
+        return self.rows[:, 8:11]
 
     @property
     def extent(self) -> jax.Array:
         """Float32 [M, 4], the rectangle (x low, z low, x high, z high) that it stands on."""
-        return self.rows[:, 10:14]
+        return self.rows[:, 11:15]
 
     @property
     def kept(self) -> jax.Array:
         """Float32 [M, 4], the same with what belongs to it: the chairs at a table."""
-        return self.rows[:, 14:18]
+        return self.rows[:, 15:19]
 
 
 def _no_pieces(count: int) -> Pieces:
     """Returns `count` pieces that are absent."""
-    return Pieces(jnp.zeros((count, 18), jnp.float32).at[:, 0].set(ABSENT))
+    return Pieces(jnp.zeros((count, 19), jnp.float32).at[:, 0].set(ABSENT))
 
 
 def _put_first(
@@ -254,18 +257,18 @@ def overlap(one: jax.Array, other: jax.Array, gap: jax.Array | float = 0.0) -> j
     return ~(apart_x | apart_z)
 
 
-def _around(plan: jax.Array, half: jax.Array, yaw: jax.Array) -> jax.Array:
+def _around(plan: jax.Array, half: jax.Array, turn: jax.Array) -> jax.Array:
     """Returns the rectangle [..., 4] about a turned one with centre and half size [..., 2]."""
-    cosine, sine = jnp.abs(jnp.cos(jnp.deg2rad(yaw))), jnp.abs(jnp.sin(jnp.deg2rad(yaw)))
+    cosine, sine = jnp.abs(turn[..., 0]), jnp.abs(turn[..., 1])
     x = cosine * half[..., 0] + sine * half[..., 1]
     z = sine * half[..., 0] + cosine * half[..., 1]
     reach = jnp.stack([x, z], axis=-1)
     return jnp.concatenate([plan - reach, plan + reach], axis=-1)
 
 
-def _offset(yaw: jax.Array, local: jax.Array) -> jax.Array:
+def _offset(turn: jax.Array, local: jax.Array) -> jax.Array:
     """Turns a plan vector [..., 2] of a box's own frame into the house's."""
-    cosine, sine = jnp.cos(jnp.deg2rad(yaw)), jnp.sin(jnp.deg2rad(yaw))
+    cosine, sine = turn[..., 0], turn[..., 1]
     x, z = local[..., 0], local[..., 1]
     return jnp.stack([cosine * x + sine * z, cosine * z - sine * x], axis=-1)
 
@@ -305,7 +308,7 @@ def _at_wall(
 def _in_open(
     draws: jax.Array, room: jax.Array, half: jax.Array, is_table: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Proposes places in the open: yaws [K], plans [K, 2], and whether there is room for it.
+    """Proposes places in the open: turns [K, 2], plans [K, 2], and whether there is room for it.
 
     Args:
       draws: uniform float32 [K, 4].
@@ -313,31 +316,37 @@ def _in_open(
       half: float32 [2], half the width and depth, with chairs.
       is_table: bool scalar, whether chairs will stand at it; then it is parallel to the walls.
     """
-    quarter = jnp.where(draws[:, 0] < 0.5, 0.0, 90.0)
-    yaw = quarter + jnp.where(is_table, 0.0, 30 * draws[:, 1] - 15)
-    reach = _around(jnp.zeros((len(room), 2), jnp.float32), half, yaw)
+    askew = jnp.deg2rad(jnp.where(is_table, 0.0, 30 * draws[:, 1] - 15))
+    cosine, sine = jnp.cos(askew), jnp.sin(askew)
+    turn = jnp.where(
+        draws[:, :1] < 0.5,
+        jnp.stack([cosine, sine], axis=1),
+        jnp.stack([-sine, cosine], axis=1),
+    )
+    reach = _around(jnp.zeros((len(room), 2), jnp.float32), half, turn)
     low, high = room[:, :2] - reach[:, :2] + PASSAGE, room[:, 2:] - reach[:, 2:] - PASSAGE
-    return yaw, low + draws[:, 2:] * (high - low), jnp.all(high >= low, axis=1)
+    return turn, low + draws[:, 2:] * (high - low), jnp.all(high >= low, axis=1)
 
 
 def _at_table(
     draws: jax.Array, pieces: Pieces, size: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Proposes places at the sides of the table: yaws [K], plans [K, 2], and if there is one."""
+    """Proposes places at the sides of the table: turns [K, 2], plans [K, 2], and if there is one."""
     is_table = (pieces.category == _TABLE) & (pieces.place == OPEN)
     row = jnp.argmax(is_table)
-    half, yaw = pieces.half_size[row], pieces.yaw[row]
+    half, turn = pieces.half_size[row], pieces.turn[row]
     side = jnp.where(draws[:, 0] < 0.5, -1.0, 1.0)
     along = (2 * draws[:, 1] - 1) * jnp.maximum(half[0] - size[0] / 2, 0.0)
     local = jnp.stack([along, side * (half[2] + size[2] / 2 + 0.01)], axis=1)
-    facing = yaw + jnp.where(side > 0, 180.0, 0.0)
+    facing = -side[:, None] * turn
     fits = is_table[row] & (half[0] >= size[0] / 2)
-    plan = pieces.center[row][jnp.array([0, 2], jnp.int32)] + _offset(yaw, local)
+    plan = pieces.center[row][jnp.array([0, 2], jnp.int32)] + _offset(turn, local)
     return facing, plan, jnp.broadcast_to(fits, along.shape)
 
 
 def _place(
-    key: jax.Array,
+    size_draws: jax.Array,
+    draws: jax.Array,
     pieces: Pieces,
     row: jax.Array,
     category: jax.Array,
@@ -350,7 +359,8 @@ def _place(
     """Puts a piece of furniture into one of several places, or nowhere if none will do.
 
     Args:
-      key: a PRNG key.
+      size_draws: uniform float32 [3].
+      draws: uniform float32 [K, 4].
       pieces: what there is.
       row: the row to put it in.
       category: int32 scalar.
@@ -360,24 +370,23 @@ def _place(
       room_rows: int32 [K].
       clear: float32 [D, 4], where nothing may stand.
     """
-    size_key, key = jax.random.split(key)
-    size = _size(jax.random.uniform(size_key, (3,), jnp.float32), category)
-    draws = jax.random.uniform(key, (len(rooms), 4), jnp.float32)
+    size = _size(size_draws, category)
     is_table = category == _TABLE
     half = size[jnp.array([0, 2], jnp.int32)] / 2
     with_chairs = half + jnp.where(is_table, jnp.array([0, _CHAIR_DEPTH], jnp.float32), 0.0)
 
     wall, wall_plan, wall_fits = _at_wall(draws[:, :2], rooms, size)
-    open_yaw, open_plan, open_fits = _in_open(draws, rooms, with_chairs, is_table)
-    table_yaw, table_plan, table_fits = _at_table(draws[:, :2], pieces, size)
+    open_turn, open_plan, open_fits = _in_open(draws, rooms, with_chairs, is_table)
+    table_turn, table_plan, table_fits = _at_table(draws[:, :2], pieces, size)
     at_wall, in_open = where == AT_WALL, where == IN_OPEN
     place = jnp.where(at_wall, wall, jnp.where(in_open, OPEN, TABLE))
-    yaw = jnp.where(at_wall, jnp.asarray(_WALL_YAW)[wall], jnp.where(in_open, open_yaw, table_yaw))
+    facing = jnp.where(in_open, open_turn, table_turn)
+    turn = jnp.where(at_wall, jnp.asarray(_FROM_WALL)[wall], facing)
     plan = jnp.where(at_wall, wall_plan, jnp.where(in_open, open_plan, table_plan))
     fits = jnp.where(at_wall, wall_fits, jnp.where(in_open, open_fits, table_fits))
 
-    extent = _around(plan, half, yaw)
-    kept = _around(plan, with_chairs, yaw)
+    extent = _around(plan, half, turn)
+    kept = _around(plan, with_chairs, turn)
     same_wall = (pieces.place[None] == place[:, None]) & (place[:, None] < OPEN)
     gap = jnp.where(same_wall, _SIDE_GAP, PASSAGE)
     # Chairs at a table are within what it keeps: they mind only each other.
@@ -392,15 +401,23 @@ def _place(
     height = jnp.broadcast_to(size[1] / 2, len(plan))
     center = jnp.stack([plan[:, 0], height, plan[:, 1]], axis=1)
     sizes = jnp.broadcast_to(size / 2, center.shape)
-    columns = (place, room_rows, category, yaw, center, sizes, extent, kept)
+    columns = (place, room_rows, category, turn, center, sizes, extent, kept)
     return _put_first(pieces, row, good, columns)
 
 
-def furnish(key: jax.Array, plan: FloorPlan, slots: int, extras: tuple[int, ...]) -> Pieces:
+def shapes(rooms: int, slots: int, extras: int) -> tuple[Shape, ...]:
+    """Returns the shapes of the random numbers that `furnish` takes."""
+    in_rooms = ((rooms, slots), (rooms, slots, 3), (rooms, slots, _CANDIDATES, 4))
+    return (*in_rooms, (extras, _CANDIDATES), (extras, 3), (extras, _CANDIDATES, 4))
+
+
+def furnish(
+    draws: Sequence[jax.Array], plan: FloorPlan, slots: int, extras: tuple[int, ...]
+) -> Pieces:
     """Places furniture in every room, and then some things on the floor anywhere.
 
     Args:
-      key: a PRNG key.
+      draws: uniform float32 of `shapes`.
       plan: the floor.
       slots: how many pieces a room has at most.
       extras: categories of things that are put on the floor at a wall of some room.
@@ -409,48 +426,48 @@ def furnish(key: jax.Array, plan: FloorPlan, slots: int, extras: tuple[int, ...]
       Pieces [R · slots + len(extras)], room by room.
     """
     count = len(plan.rooms)
-    room_key, extra_key = jax.random.split(key)
+    in_rooms, anywhere = draws[:3], draws[3:]
 
-    def furnish_room(key: jax.Array, row: jax.Array) -> Pieces:
+    def furnish_room(row: jax.Array, in_room: tuple[jax.Array, ...]) -> Pieces:
         kind, room = plan.kind[row], plan.rooms[row]
         rooms = jnp.broadcast_to(room, (_CANDIDATES, 4))
         rows = jnp.broadcast_to(row, (_CANDIDATES,))
         there = room[2] > room[0]
 
-        def add(pieces: Pieces, i: jax.Array) -> tuple[Pieces, None]:
-            share_key, place_key = jax.random.split(jax.random.fold_in(key, i))
-            share = jnp.asarray(_SHARES)[kind, i]
-            wanted = there & (jax.random.uniform(share_key, (), jnp.float32) < share)
+        def add(pieces: Pieces, slot: tuple[jax.Array, ...]) -> tuple[Pieces, None]:
+            i, chance, size, places = slot
+            wanted = there & (chance < jnp.asarray(_SHARES)[kind, i])
             category, where = jnp.asarray(_SLOTS)[kind, i]
             return (
-                _place(place_key, pieces, i, category, where, wanted, rooms, rows, plan.clear),
+                _place(
+                    size, places, pieces, i, category, where, wanted, rooms, rows, plan.clear
+                ),
                 None,
             )
 
-        return jax.lax.scan(add, _no_pieces(slots), jnp.arange(slots, dtype=jnp.int32))[0]
+        numbers = jnp.arange(slots, dtype=jnp.int32)
+        return jax.lax.scan(add, _no_pieces(slots), (numbers, *in_room))[0]
 
-    by_room = jax.vmap(furnish_room)(
-        jax.random.split(room_key, count), jnp.arange(count, dtype=jnp.int32)
-    )
+    by_room = jax.vmap(furnish_room)(jnp.arange(count, dtype=jnp.int32), tuple(in_rooms))
     furniture = by_room.rows.reshape(count * slots, -1)
     pieces = Pieces(jnp.concatenate([furniture, _no_pieces(len(extras)).rows]))
     used = plan.rooms[:, 2] > plan.rooms[:, 0]
     weights = jnp.where(used, 1.0, 0.0)
 
-    def add_extra(pieces: Pieces, extra: tuple[jax.Array, jax.Array]) -> tuple[Pieces, None]:
-        row, category = extra
-        choice_key, place_key = jax.random.split(jax.random.fold_in(extra_key, row))
-        draws = jax.random.uniform(choice_key, (_CANDIDATES,), jnp.float32)
-        rows = _weighted(draws, weights)
+    def add_extra(pieces: Pieces, extra: tuple[jax.Array, ...]) -> tuple[Pieces, None]:
+        row, category, choice, size, places = extra
+        rows = _weighted(choice, weights)
         at_wall, wanted = jnp.int32(AT_WALL), jnp.bool_(True)
         rooms = plan.rooms[rows]
-        pieces = _place(place_key, pieces, row, category, at_wall, wanted, rooms, rows, plan.clear)
+        pieces = _place(
+            size, places, pieces, row, category, at_wall, wanted, rooms, rows, plan.clear
+        )
         return pieces, None
 
     if not extras:
         return pieces
     rows = jnp.arange(len(extras), dtype=jnp.int32) + count * slots
-    return jax.lax.scan(add_extra, pieces, (rows, jnp.array(extras, jnp.int32)))[0]
+    return jax.lax.scan(add_extra, pieces, (rows, jnp.array(extras, jnp.int32), *anywhere))[0]
 
 
 def _weighted(draws: jax.Array, weights: jax.Array) -> jax.Array:
@@ -460,11 +477,16 @@ def _weighted(draws: jax.Array, weights: jax.Array) -> jax.Array:
     return jnp.minimum(rows, len(weights) - 1)
 
 
-def set_out(key: jax.Array, furniture: Pieces, objects: tuple[int, ...]) -> Pieces:
+def shapes_on_furniture(objects: int) -> tuple[Shape, ...]:
+    """Returns the shapes of the random numbers that `set_out` takes."""
+    return ((objects, 3), (objects, _CANDIDATES, 3))
+
+
+def set_out(draws: Sequence[jax.Array], furniture: Pieces, objects: tuple[int, ...]) -> Pieces:
     """Puts things onto furniture, near edges that one can come to.
 
     Args:
-      key: a PRNG key.
+      draws: uniform float32 of `shapes_on_furniture`.
       furniture: of `furnish`.
       objects: the categories of the things; those without a place are absent.
 
@@ -474,11 +496,9 @@ def set_out(key: jax.Array, furniture: Pieces, objects: tuple[int, ...]) -> Piec
     top = 2 * furniture.half_size[:, 1]
     usable = (furniture.place >= 0) & (furniture.place <= OPEN) & (top <= _HIGHEST_RECEPTACLE)
 
-    def add(things: Pieces, thing: tuple[jax.Array, jax.Array]) -> tuple[Pieces, None]:
-        row, category = thing
-        size_key, draw_key = jax.random.split(jax.random.fold_in(key, row))
-        size = _size(jax.random.uniform(size_key, (3,), jnp.float32), category)
-        draws = jax.random.uniform(draw_key, (_CANDIDATES, 3), jnp.float32)
+    def add(things: Pieces, thing: tuple[jax.Array, ...]) -> tuple[Pieces, None]:
+        row, category, size_draws, draws = thing
+        size = _size(size_draws, category)
         weights = jnp.asarray(_WEIGHTS)[category, furniture.category]
         in_sight = (top <= _EYE_LEVEL) | (size[1] >= _FLAT)
         weights = jnp.where(usable & in_sight, weights, 0.0)
@@ -497,20 +517,22 @@ def set_out(key: jax.Array, furniture: Pieces, objects: tuple[int, ...]) -> Piec
         at_end = jnp.stack([end * (half[:, 0] - inward), along], axis=1)
         at_front = jnp.stack([along, half[:, 2] - inward], axis=1)
         local = jnp.where(in_open[:, None], at_end, at_front)
-        yaw = on.yaw + jnp.where(in_open, 90 * end, 0.0)
-        plan = on.center[:, ::2] + _offset(on.yaw, local)
+        # A quarter of a turn to face the end.
+        quarter = end[:, None] * jnp.stack([-on.turn[:, 1], on.turn[:, 0]], axis=1)
+        turn = jnp.where(in_open[:, None], quarter, on.turn)
+        plan = on.center[:, ::2] + _offset(on.turn, local)
         length = jnp.where(in_open, half[:, 0], 2 * half[:, 2])
         fits = (2 * span >= size[0]) & (length >= size[2] + _EDGE)
-        extent = _around(plan, size[::2] / 2, yaw)
+        extent = _around(plan, size[::2] / 2, turn)
         same = (things.room[None] == under[:, None]) & (things.place >= 0)
         near = jnp.any(overlap(extent[:, None], things.extent[None], 0.02) & same, axis=1)
         good = fits & ~near & (weights[under] > 0)
         height = 2 * half[:, 1] + size[1] / 2
         center = jnp.stack([plan[:, 0], height, plan[:, 1]], axis=1)
         sizes = jnp.broadcast_to(size / 2, center.shape)
-        columns = (on.place, under, category, yaw, center, sizes, extent, extent)
+        columns = (on.place, under, category, turn, center, sizes, extent, extent)
         return _put_first(things, row, good, columns), None
 
     rows = jnp.arange(len(objects), dtype=jnp.int32)
     things = _no_pieces(len(objects))
-    return jax.lax.scan(add, things, (rows, jnp.array(objects, jnp.int32)))[0]
+    return jax.lax.scan(add, things, (rows, jnp.array(objects, jnp.int32), *draws))[0]

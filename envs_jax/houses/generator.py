@@ -13,10 +13,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from envs_jax.houses import categories
-from envs_jax.houses.floor_plans import MOST_ROOMS, FloorPlan, draw_plan
-from envs_jax.houses.furnishing import MOST_SLOTS, Pieces, furnish, set_out
-from envs_jax.houses.scene import NOWHERE, Scene, box
+from envs_jax.houses import categories, floor_plans, furnishing
+from envs_jax.houses.draws import draw
+from envs_jax.houses.floor_plans import MOST_ROOMS, FloorPlan
+from envs_jax.houses.furnishing import MOST_SLOTS, Pieces
+from envs_jax.houses.scene import NOWHERE, Scene
 from jaxact.errors import JaxactError, unknown
 
 SPLITS = ("train", "val", "test")
@@ -165,38 +166,47 @@ def generate(key: jax.Array, style: Style) -> Scene:
       key: a PRNG key; `scene_key` gives those of a split.
       style: what it is to be like; static.
     """
-    size_key, plan_key, furniture_key, thing_key, color_key = jax.random.split(key, 5)
-    draws = jax.random.uniform(size_key, (5,), jnp.float32)
+    least, most = style.rooms
+    extras = tuple(categories.index(name) for name in style.on_floor)
+    objects = tuple(categories.index(name) for name in style.on_furniture)
+    parts = [
+        ((5,),),
+        floor_plans.shapes(most),
+        furnishing.shapes(most, style.furniture, len(extras)),
+        furnishing.shapes_on_furniture(len(objects)),
+        ((3,), (style.boxes, 3), (2, 3)),
+    ]
+    numbers = iter(draw(key, [shape for shapes in parts for shape in shapes]))
+    (draws,), for_plan, for_furniture, for_things, for_colors = (
+        [next(numbers) for _ in shapes] for shapes in parts
+    )
     size = jnp.stack(
         [
-            low + draw * (high - low)
-            for draw, (low, high) in zip(draws, (style.long_side, style.short_side), strict=False)
+            low + number * (high - low)
+            for number, (low, high) in zip(draws, (style.long_side, style.short_side), strict=False)
         ]
     )
     size = jnp.where(draws[2] < 0.5, size, size[::-1])
-    least, most = style.rooms
     rooms = least + jnp.floor(draws[3] * (most - least + 1)).astype(jnp.int32)
-    plan = draw_plan(plan_key, size, rooms, most, style.widest_door, style.lintels)
+    plan = floor_plans.draw_plan(for_plan, size, rooms, most, style.widest_door, style.lintels)
     if most == 1:
         drawn = 1 + jnp.floor(draws[4] * (len(categories.ROOMS) - 1)).astype(jnp.int32)
         kind = jnp.int32(categories.ROOMS.index(style.kind)) if style.kind else drawn
         plan = replace(plan, kind=kind[None])
-    extras = tuple(categories.index(name) for name in style.on_floor)
-    furniture = furnish(furniture_key, plan, style.furniture, extras)
-    objects = tuple(categories.index(name) for name in style.on_furniture)
-    things = set_out(thing_key, furniture, objects)
-    return _scene(color_key, style, plan, furniture, things)
+    furniture = furnishing.furnish(for_furniture, plan, style.furniture, extras)
+    things = furnishing.set_out(for_things, furniture, objects)
+    return _scene(for_colors, style, plan, furniture, things)
 
 
 def _scene(
-    key: jax.Array, style: Style, plan: FloorPlan, furniture: Pieces, things: Pieces
+    draws: list[jax.Array], style: Style, plan: FloorPlan, furniture: Pieces, things: Pieces
 ) -> Scene:
     """Puts everything into one table of boxes."""
     low, high = plan.structure[:, :3], plan.structure[:, 3:]
     center = jnp.concatenate([(low + high) / 2, furniture.center, things.center])
     half = jnp.concatenate([(high - low) / 2, furniture.half_size, things.half_size])
-    no_yaw = jnp.zeros(len(low), jnp.float32)
-    yaw = jnp.concatenate([no_yaw, furniture.yaw, things.yaw])
+    unturned = jnp.broadcast_to(jnp.array([1, 0], jnp.float32), (len(low), 2))
+    turn = jnp.concatenate([unturned, furniture.turn, things.turn])
     category = jnp.concatenate([plan.category, furniture.category, things.category])
     placed = jnp.concatenate([plan.category, furniture.place + 1, things.place + 1]) > 0
     lies = jnp.arange(len(center)) >= len(low) + len(furniture.place)
@@ -204,20 +214,20 @@ def _scene(
     portable = jnp.where(
         lies, category != categories.index("Television"), jnp.asarray(_PORTABLE)[category]
     )
-    boxes = jnp.where(placed[:, None], box(center, half, yaw), _PADDING)
+    boxes = jnp.where(placed[:, None], jnp.concatenate([center, half, turn], axis=1), _PADDING)
     missing = style.boxes - len(boxes)
     boxes = jnp.concatenate([boxes, jnp.broadcast_to(_PADDING, (missing, 8))])
     category = jnp.pad(category, (0, missing))
     portable = jnp.pad(portable & placed, (0, missing))
 
-    wall_key, color_key, surface_key = jax.random.split(key, 3)
+    wall_draws, own_draws, surface_draws = draws
     # The walls of a house are all of one colour, other things each a little off their category's.
-    walls = jax.random.uniform(wall_key, (3,), jnp.float32, -0.25, 0.08)
-    own = jax.random.uniform(color_key, (style.boxes, 3), jnp.float32, -0.1, 0.1)
+    walls = 0.33 * wall_draws - 0.25
+    own = 0.2 * own_draws - 0.1
     is_wall = (category == categories.index("Wall"))[:, None]
     color = jnp.asarray(COLORS)[category] + jnp.where(is_wall, walls, own)
     surface = jnp.array([[0.55, 0.42, 0.3], [0.95, 0.95, 0.93]], jnp.float32)
-    tint = jax.random.uniform(surface_key, (2, 3), jnp.float32, -1.0, 1.0)
+    tint = 2 * surface_draws - 1
     surface += jnp.array([[0.15], [0.05]], jnp.float32) * tint
     return Scene(
         boxes=boxes,
