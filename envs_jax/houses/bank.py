@@ -10,13 +10,14 @@ import jax
 import jax.numpy as jnp
 
 from envs_jax.houses.collision import is_free, obstacles
+from envs_jax.houses.draws import draw
 from envs_jax.houses.generator import SPLITS, Style, generate, scene_key
-from envs_jax.houses.geodesic import GoalField, Roadmap, build_roadmap, goal_field, is_reachable
+from envs_jax.houses.geodesic import GoalField, Roadmap, build_roadmap, goal_field, shortest
 from envs_jax.houses.scene import NOWHERE, Scene
 from envs_jax.houses.state import Body
 from jaxact.errors import JaxactError, unknown
 
-_CANDIDATES = 32
+CANDIDATES = 32
 # How many of the candidates may become the middle of a house.
 _MIDDLES = 8
 
@@ -164,12 +165,6 @@ class Bank:
         """S."""
         return self.scenes.boxes.shape[0]
 
-    def draw(self, key: jax.Array) -> tuple[jax.Array, Scene, Roadmap]:
-        """Returns an index int32, and the house and the roadmap there, each equally likely."""
-        index = jax.random.randint(key, (), 0, self.size, jnp.int32)
-        scene, roadmap = jax.tree.map(lambda leaf: leaf[index], (self.scenes, self.roadmaps))
-        return index, scene, roadmap
-
 
 def build_bank(scenes: Scenes, body: Body, nodes: int) -> Bank:
     """Makes the houses and their roadmaps.
@@ -185,12 +180,13 @@ def build_bank(scenes: Scenes, body: Body, nodes: int) -> Bank:
         roadmap = build_roadmap(scene, body, nodes)
         blocked = obstacles(scene.boxes, body)
         key = jax.random.key(0, impl="threefry2x32")
-        places, free = free_places(key, scene, blocked, body.radius, 0.0)
+        (draws,) = draw(key, [(CANDIDATES, 3)])
+        places, free = free_places(draws, scene, blocked, body.radius, 0.0)
 
         def reach(place: jax.Array) -> tuple[jax.Array, GoalField]:
             ways = goal_field(roadmap, blocked, body.radius, place[None])
-            joined = jax.vmap(lambda other: is_reachable(ways, blocked, body.radius, other))
-            return jnp.sum(joined(places) & free, dtype=jnp.int32), ways
+            metres = jax.vmap(lambda other: shortest(ways, blocked, body.radius, other))(places)
+            return jnp.sum((metres < jnp.inf) & free, dtype=jnp.int32), ways
 
         counts, ways = jax.vmap(reach)(places[:_MIDDLES])
         best = jnp.argmax(jnp.where(free[:_MIDDLES], counts, -1))
@@ -201,12 +197,12 @@ def build_bank(scenes: Scenes, body: Body, nodes: int) -> Bank:
 
 
 def free_places(
-    key: jax.Array, scene: Scene, blocked: jax.Array, radius: float, grid: float
+    draws: jax.Array, scene: Scene, blocked: jax.Array, radius: float, grid: float
 ) -> tuple[jax.Array, jax.Array]:
     """Draws places in rooms, each square metre as likely as any other.
 
     Args:
-      key: a PRNG key.
+      draws: uniform float32 [K, 3].
       scene: the house.
       blocked: float32 [N, 8], its obstacles.
       radius: of the body.
@@ -215,14 +211,11 @@ def free_places(
     Returns:
       Plans float32 [K, 2] and bool [K], at which of them the body fits.
     """
-    room_key, place_key = jax.random.split(key)
     sides = scene.rooms[:, 2:] - scene.rooms[:, :2]
     sums = jnp.cumsum(sides[:, 0] * sides[:, 1])
-    draws = jax.random.uniform(room_key, (_CANDIDATES, 1), jnp.float32)
-    rows = jnp.minimum(jnp.sum(sums <= draws * sums[-1], axis=1), len(sums) - 1)
+    rows = jnp.minimum(jnp.sum(sums <= draws[:, :1] * sums[-1], axis=1), len(sums) - 1)
     room = scene.rooms[rows]
-    draws = jax.random.uniform(place_key, (_CANDIDATES, 2), jnp.float32)
-    places = room[:, :2] + draws * (room[:, 2:] - room[:, :2])
+    places = room[:, :2] + draws[:, 1:] * (room[:, 2:] - room[:, :2])
     if grid > 0:
         places = jnp.round(places / grid) * grid
     inside = jnp.all((places >= room[:, :2]) & (places <= room[:, 2:]), axis=1)

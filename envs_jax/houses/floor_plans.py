@@ -124,9 +124,7 @@ def draw_plan(
     )
 
 
-def _split(
-    draws: jax.Array, size: jax.Array, rooms: jax.Array
-) -> tuple[jax.Array, jax.Array]:
+def _split(draws: jax.Array, size: jax.Array, rooms: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Cuts the floor into cells float32 [R, 4], between the middles of their walls.
 
     The walls are float32 [R − 1, 4]: 0 if it runs along x and 1 if along z, its other coordinate,

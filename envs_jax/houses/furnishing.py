@@ -331,7 +331,7 @@ def _in_open(
 def _at_table(
     draws: jax.Array, pieces: Pieces, size: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Proposes places at the sides of the table: turns [K, 2], plans [K, 2], and if there is one."""
+    """Proposes places beside the table: turns [K, 2], plans [K, 2], and if there is one."""
     is_table = (pieces.category == _TABLE) & (pieces.place == OPEN)
     row = jnp.argmax(is_table)
     half, turn = pieces.half_size[row], pieces.turn[row]
@@ -439,9 +439,7 @@ def furnish(
             wanted = there & (chance < jnp.asarray(_SHARES)[kind, i])
             category, where = jnp.asarray(_SLOTS)[kind, i]
             return (
-                _place(
-                    size, places, pieces, i, category, where, wanted, rooms, rows, plan.clear
-                ),
+                _place(size, places, pieces, i, category, where, wanted, rooms, rows, plan.clear),
                 None,
             )
 

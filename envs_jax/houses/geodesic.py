@@ -3,7 +3,7 @@
 In plan a body is a point among boxes grown by its radius. A grown box has round corners; here each
 is the octagon around it, so that a way past it is free of collisions and at most 9 % of the radius
 longer at a right-angled corner. A shortest way bends only at corners of octagons. A `Roadmap` holds
-those of a scene and which see each other; a `GoalField` how far each is from an episode's goals,
+those of a scene and the ways between them; a `GoalField` how far each is from an episode's goals,
 and is all that a step needs:
 
     roadmap = build_roadmap(scene, body)                      # once a scene
@@ -42,7 +42,7 @@ class Roadmap:
     Attributes:
       nodes: float32 [K, 2], plans.
       valid: bool [K], which of them are used.
-      lengths: float32 [K, K], metres between two that see each other; infinite if they do not.
+      lengths: float32 [K, K], metres of the shortest way between two; infinite if there is none.
       overflow: bool scalar, whether there were more than K, so that ways may be too long.
     """
 
@@ -83,12 +83,26 @@ def build_roadmap(scene: Scene, body: Body, size: int = 192) -> Roadmap:
     low, high = jnp.min(scene.rooms[:, :2], axis=0), jnp.max(scene.rooms[:, 2:], axis=0)
     indoors = jnp.all((corners >= low) & (corners <= high), axis=-1)
     size = min(size, corners.shape[0])
-    score = jnp.where(useful, jnp.where(indoors, 2, 1), 0)
-    score, chosen = jax.lax.top_k(score, size)
-    nodes, valid = corners[chosen], score > 0
+    # Those indoors come first, without a sort.
+    within, without = useful & indoors, useful & ~indoors
+    after = jnp.sum(within, dtype=jnp.int32) - 1
+    place = jnp.where(
+        within,
+        jnp.cumsum(within, dtype=jnp.int32) - 1,
+        after + jnp.cumsum(without, dtype=jnp.int32),
+    )
+    place = jnp.where(useful, place, size)
+    nodes = jnp.zeros((size, 2), jnp.float32).at[place].set(corners, mode="drop")
+    valid = jnp.arange(size, dtype=jnp.int32) < jnp.sum(useful, dtype=jnp.int32)
     radii = jnp.full(boxes.shape[:1], body.radius, jnp.float32)
     seen = visible(boxes, radii, nodes[:, None], nodes) & valid[:, None] & valid
     lengths = jnp.where(seen, _length(nodes[:, None] - nodes), jnp.inf)
+
+    def by_way_of(node: jax.Array, lengths: jax.Array) -> jax.Array:
+        return jnp.minimum(lengths, lengths[:, node, None] + lengths[node])
+
+    # Floyd and Warshall's: once a scene, so that an episode's field is one look at the table.
+    lengths = jax.lax.fori_loop(0, size, by_way_of, lengths)
     overflow = jnp.sum(useful, dtype=jnp.int32) > size
     return Roadmap(nodes, valid, lengths, overflow)
 
@@ -118,12 +132,7 @@ def goal_field(
     first = jnp.min(reach + offsets[:, None], axis=0)
     first = jnp.where(roadmap.valid, first, jnp.inf)
 
-    def relax(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        best, _ = carry
-        better = jnp.minimum(best, jnp.min(roadmap.lengths + best, axis=1))
-        return better, jnp.any(better < best)
-
-    best, _ = jax.lax.while_loop(lambda carry: carry[1], relax, (first, jnp.bool_(True)))
+    best = jnp.minimum(first, jnp.min(roadmap.lengths + first, axis=1))
     return GoalField(jnp.concatenate([goals_free, roadmap.nodes]), jnp.concatenate([offsets, best]))
 
 
@@ -145,11 +154,22 @@ def distance(
     Returns:
       The float32 scalar metres, and the int32 node that the way leads to first.
     """
-    straight = _length(field.nodes - position) + field.lengths
     ways = _ways(obstacles, radius, position, field.nodes) + field.lengths
+    straight = _length(field.nodes - position) + field.lengths
     ways = jnp.where(jnp.any(ways < jnp.inf), ways, straight)
     node = jnp.argmin(ways)
     return ways[node], node.astype(jnp.int32)
+
+
+def shortest(
+    field: GoalField, obstacles: jax.Array, radius: float, position: jax.Array
+) -> jax.Array:
+    """Measures the shortest way to the nearest goal, like `distance`, if there is one.
+
+    Returns:
+      The float32 scalar metres, infinite if there is no way.
+    """
+    return jnp.min(_ways(obstacles, radius, position, field.nodes) + field.lengths)
 
 
 def nearby(
@@ -178,13 +198,6 @@ def nearby(
     # Who sees nothing is led straight on, as by `distance`.
     lengths = jnp.where(jnp.any(kept < jnp.inf), lengths, field.lengths)
     return GoalField(field.nodes[chosen], lengths[chosen])
-
-
-def is_reachable(
-    field: GoalField, obstacles: jax.Array, radius: float, position: jax.Array
-) -> jax.Array:
-    """Returns a bool scalar: whether there is a way from a plan float32 [2] to a goal."""
-    return jnp.any(_ways(obstacles, radius, position, field.nodes) + field.lengths < jnp.inf)
 
 
 def path(

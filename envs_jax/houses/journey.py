@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from envs_jax.houses import metrics
 from envs_jax.houses.collision import obstacles
-from envs_jax.houses.geodesic import GoalField, Roadmap, distance, goal_field, is_reachable
+from envs_jax.houses.geodesic import GoalField, distance, shortest
 from envs_jax.houses.state import Body, HouseState
 
 
@@ -31,28 +31,18 @@ class Journey:
     walked: jax.Array
 
 
-def begin(
-    roadmap: Roadmap,
-    state: HouseState,
-    body: Body,
-    goals: jax.Array,
-    present: jax.Array | None = None,
-) -> Journey:
+def begin(field: GoalField, state: HouseState, body: Body) -> Journey:
     """Returns the journey of an agent that is about to set out.
 
     Args:
-      roadmap: of the house as it stands.
+      field: how far the goals are, see `geodesic.goal_field`.
       state: of the agent and the house.
       body: of the agent.
-      goals: float32 [G, 2], plans.
-      present: bool [G], which goals count; all, if None.
     """
     boxes = obstacles(state.scene.boxes, body)
-    field = goal_field(roadmap, boxes, body.radius, goals, present)
-    metres, _ = distance(field, boxes, body.radius, state.position)
-    reachable = is_reachable(field, boxes, body.radius, state.position)
-    shortest = jnp.where(reachable, metres, jnp.inf)
-    return Journey(field, shortest, metres, jnp.float32(0))
+    metres = distance(field, boxes, body.radius, state.position)[0]
+    start = shortest(field, boxes, body.radius, state.position)
+    return Journey(field, start, metres, jnp.float32(0))
 
 
 def advance(journey: Journey, body: Body, before: HouseState, after: HouseState) -> Journey:

@@ -10,9 +10,10 @@ import jax.numpy as jnp
 from envs_jax.houses import journey as journeys
 from envs_jax.houses import visibility
 from envs_jax.houses.collision import obstacles
+from envs_jax.houses.draws import first_true
 from envs_jax.houses.environment import House
 from envs_jax.houses.expert import look, walk
-from envs_jax.houses.geodesic import Roadmap
+from envs_jax.houses.geodesic import GoalField
 from envs_jax.houses.journey import Journey
 from envs_jax.houses.scene import Scene
 from envs_jax.houses.state import HouseState
@@ -99,28 +100,18 @@ class ObjectNav(Task):
         good &= wanted[rows][:, None]
         # The instances take turns, so that each has its share of the goals.
         places, good = places.swapaxes(0, 1).reshape(-1, 2), good.T.reshape(-1)
-        count = min(self.view_points, good.shape[0])
-        present, chosen = jax.lax.top_k(good.astype(jnp.float32), count)
-        return places[chosen], present > 0
+        chosen, present = first_true(good, min(self.view_points, good.shape[0]))
+        return places[chosen], present
 
-    def start(
-        self,
-        roadmap: Roadmap,
-        state: HouseState,
-        category: jax.Array,
-        goals: jax.Array,
-        present: jax.Array,
-    ) -> ObjectNavState:
+    def start(self, field: GoalField, state: HouseState, category: jax.Array) -> ObjectNavState:
         """Returns the first state of an episode.
 
         Args:
-          roadmap: of the scene, from `build_roadmap(scene, house.body)`.
+          field: how far `goals(scene, category)` are, from `geodesic.goal_field`.
           state: where the agent begins, from `house.start(scene, position, yaw, pitch)`.
           category: int32 scalar, index into `categories.NAMES`.
-          goals: float32 [G, 2], from `goals(scene, category)`.
-          present: bool [G], likewise.
         """
-        journey = journeys.begin(roadmap, state, self.house.body, goals, present)
+        journey = journeys.begin(field, state, self.house.body)
         start = jnp.concatenate([state.position, state.yaw[None]])
         return ObjectNavState(jnp.asarray(category, jnp.int32), start, journey)
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from envs_jax.houses import journey as journeys
 from envs_jax.houses.environment import House
 from envs_jax.houses.expert import walk
-from envs_jax.houses.geodesic import Roadmap
+from envs_jax.houses.geodesic import GoalField
 from envs_jax.houses.journey import Journey
 from envs_jax.houses.state import HouseState
 from jaxact.pomdp import ExpertAction, Outcome, Task
@@ -59,16 +59,16 @@ class PointNav(Task):
     success_reward: float = 10.0
     failure_reward: float = 0.0
 
-    def start(self, roadmap: Roadmap, state: HouseState, goal: jax.Array) -> PointNavState:
+    def start(self, field: GoalField, state: HouseState, goal: jax.Array) -> PointNavState:
         """Returns the first state of an episode.
 
         Args:
-          roadmap: of the scene, from `build_roadmap(scene, house.body)`.
+          field: how far the goal is, from `geodesic.goal_field`.
           state: where the agent begins, from `house.start(scene, position, yaw, pitch)`.
           goal: float32 [2], a plan.
         """
         goal = jnp.asarray(goal, jnp.float32)
-        journey = journeys.begin(roadmap, state, self.house.body, goal[None])
+        journey = journeys.begin(field, state, self.house.body)
         start = jnp.concatenate([state.position, state.yaw[None]])
         return PointNavState(goal, start, journey)
 

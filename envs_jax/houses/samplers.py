@@ -12,10 +12,11 @@ import jax
 import jax.numpy as jnp
 
 from envs_jax.houses import categories
-from envs_jax.houses.bank import Bank, Scenes, build_bank, free_places
+from envs_jax.houses.bank import CANDIDATES, Bank, Scenes, build_bank, free_places
 from envs_jax.houses.collision import obstacles
+from envs_jax.houses.draws import draw, first_true, pick
 from envs_jax.houses.environment import House
-from envs_jax.houses.geodesic import GoalField, distance, goal_field, is_reachable
+from envs_jax.houses.geodesic import GoalField, Roadmap, goal_field, shortest
 from envs_jax.houses.object_nav import ObjectNav
 from envs_jax.houses.point_nav import PointNav
 from envs_jax.houses.scene import Scene
@@ -23,8 +24,12 @@ from envs_jax.houses.state import HouseState
 from jaxact.errors import JaxactError
 from jaxact.pomdp import Episode, PyTree, TaskSampler
 
+# Of so many of the places that are free it is looked whether they can be the goal.
+_GOALS = 4
 # From so many of the places that are free the way to the goal is measured.
 _MEASURED = 8
+# Random numbers that a start takes: places, which of them, and a heading.
+_START = ((CANDIDATES, 3), (_MEASURED,), ())
 
 
 @dataclass(frozen=True)
@@ -82,34 +87,37 @@ class PointNavSampler(TaskSampler):
     def sample(self, key: jax.Array, sampler_state: PyTree) -> Episode:
         """Draws one episode."""
         bank: Bank = sampler_state
-        scene_key, goal_key, start_key = jax.random.split(key, 3)
-        index, scene, roadmap = bank.draw(scene_key)
+        which, places, *for_start = draw(key, [(), (CANDIDATES, 3), *_START])
+        row = pick(which, bank.size)
+        house: Bank = jax.tree.map(lambda leaf: leaf[row], bank)
         radius = self.task.house.body.radius
-        blocked = obstacles(scene.boxes, self.task.house.body)
-        goals, free = free_places(goal_key, scene, blocked, radius, 0.0)
-        middle = jax.tree.map(lambda leaf: leaf[index], bank.middles)
-        joined = jax.vmap(lambda goal: is_reachable(middle, blocked, radius, goal))(goals)
-        goal = goals[jnp.argmax(free & joined)]
-        field = goal_field(roadmap, blocked, radius, goal[None])
-        state = _begin(start_key, self.starts, self.task.house, scene, blocked, field)
-        task_state = self.task.start(roadmap, state, goal)
-        return Episode(state, task_state, jnp.int32(self.horizon))
+        blocked = obstacles(house.scenes.boxes, self.task.house.body)
+        places, free = free_places(places, house.scenes, blocked, radius, 0.0)
+        rows, there = first_true(free, _GOALS)
+        places = places[rows]
+        ways = jax.vmap(lambda place: shortest(house.middles, blocked, radius, place))(places)
+        joined = there & (ways < jnp.inf)
+        # Where none will do, the middle is a place that most of the house can be reached from.
+        goal = jnp.where(jnp.any(joined), places[jnp.argmax(joined)], house.middles.nodes[0])
+        field = goal_field(house.roadmaps, blocked, radius, goal[None])
+        state = _begin(for_start, self.starts, self.task.house, house.scenes, blocked, field)
+        return Episode(state, self.task.start(field, state, goal), jnp.int32(self.horizon))
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class TargetBank:
-    """Houses, and from where in them targets can be seen.
+    """Houses, and how far it is in them to where targets can be seen.
 
     Attributes:
       bank: the houses.
-      places: float32 [S, T, G, 2], plans.
-      present: bool [S, T, G], which of them are used.
+      fields: with leading axes [S, T].
+      findable: bool [S, T], whether there is such a place.
     """
 
     bank: Bank
-    places: jax.Array
-    present: jax.Array
+    fields: GoalField
+    findable: jax.Array
 
 
 @dataclass(frozen=True)
@@ -148,26 +156,33 @@ class ObjectNavSampler(TaskSampler):
         del key
         bank = build_bank(self.scenes, self.task.house.body, self.nodes)
 
-        def look(scene: Scene) -> tuple[jax.Array, jax.Array]:
-            return jax.lax.map(lambda target: self.task.goals(scene, target), self._targets)
+        body = self.task.house.body
 
-        places, present = jax.lax.map(look, bank.scenes)
-        return TargetBank(bank, places, present)
+        def look(house: tuple[Scene, Roadmap]) -> tuple[GoalField, jax.Array]:
+            scene, roadmap = house
+            blocked = obstacles(scene.boxes, body)
+
+            def survey(target: jax.Array) -> tuple[GoalField, jax.Array]:
+                places, present = self.task.goals(scene, target)
+                field = goal_field(roadmap, blocked, body.radius, places, present)
+                return field, jnp.any(present)
+
+            return jax.lax.map(survey, self._targets)
+
+        fields, findable = jax.lax.map(look, (bank.scenes, bank.roadmaps))
+        return TargetBank(bank, fields, findable)
 
     def sample(self, key: jax.Array, sampler_state: PyTree) -> Episode:
         """Draws one episode."""
         targets: TargetBank = sampler_state
-        scene_key, target_key, start_key = jax.random.split(key, 3)
-        index, scene, roadmap = targets.bank.draw(scene_key)
-        body = self.task.house.body
-        blocked = obstacles(scene.boxes, body)
-        findable = jnp.any(targets.present[index], axis=1)
-        chosen = _choose(target_key, findable)
-        places, present = targets.places[index, chosen], targets.present[index, chosen]
-        field = goal_field(roadmap, blocked, body.radius, places, present)
-        state = _begin(start_key, self.starts, self.task.house, scene, blocked, field)
-        category = self._targets[chosen]
-        task_state = self.task.start(roadmap, state, category, places, present)
+        which, target, *for_start = draw(key, [(), (len(self.targets),), *_START])
+        row = pick(which, targets.bank.size)
+        chosen = _choose(target, targets.findable[row])
+        scene = jax.tree.map(lambda leaf: leaf[row], targets.bank.scenes)
+        field = jax.tree.map(lambda leaf: leaf[row, chosen], targets.fields)
+        blocked = obstacles(scene.boxes, self.task.house.body)
+        state = _begin(for_start, self.starts, self.task.house, scene, blocked, field)
+        task_state = self.task.start(field, state, self._targets[chosen])
         return Episode(state, task_state, jnp.int32(self.horizon))
 
     @property
@@ -176,7 +191,7 @@ class ObjectNavSampler(TaskSampler):
 
 
 def _begin(
-    key: jax.Array,
+    draws: list[jax.Array],
     starts: Starts,
     house: House,
     scene: Scene,
@@ -184,13 +199,13 @@ def _begin(
     field: GoalField,
 ) -> HouseState:
     """Puts the agent down somewhere from where the way to the goal has the length it should."""
-    place_key, choice_key, yaw_key = jax.random.split(key, 3)
+    place_draws, choice, heading = draws
     radius = house.body.radius
-    places, free = free_places(place_key, scene, blocked, radius, starts.grid)
-    free, rows = jax.lax.top_k(free.astype(jnp.int32), _MEASURED)
-    places, free = places[rows], free > 0
-    metres = jax.vmap(lambda place: distance(field, blocked, radius, place)[0])(places)
-    can = free & jax.vmap(lambda place: is_reachable(field, blocked, radius, place))(places)
+    places, free = free_places(place_draws, scene, blocked, radius, starts.grid)
+    rows, free = first_true(free, _MEASURED)
+    places = places[rows]
+    metres = jax.vmap(lambda place: shortest(field, blocked, radius, place))(places)
+    can = free & (metres < jnp.inf)
     # The goals of a field are its first nodes without any way left to go.
     goals = jnp.where(field.lengths[:, None] <= 0, field.nodes, jnp.inf)
     crow = jnp.sqrt(jnp.min(jnp.sum((places[:, None] - goals) ** 2, axis=-1), axis=1))
@@ -199,13 +214,11 @@ def _begin(
     # If none is good, one whose way is as nearly so long as can be.
     beyond = jnp.maximum(jnp.maximum(starts.least - metres, metres - starts.greatest), 0)
     nearest = jnp.argmin(jnp.where(can, beyond, jnp.where(free, 1e6, 1e9)))
-    chosen = jnp.where(jnp.any(good), _choose(choice_key, good), nearest)
-    headings = round(360 / house.turn)
-    turns = jax.random.randint(yaw_key, (), 0, headings, jnp.int32).astype(jnp.float32)
+    chosen = jnp.where(jnp.any(good), _choose(choice, good), nearest)
+    turns = pick(heading, round(360 / house.turn)).astype(jnp.float32)
     return house.start(scene, places[chosen], turns * jnp.float32(house.turn), starts.pitch)
 
 
-def _choose(key: jax.Array, good: jax.Array) -> jax.Array:
-    """Returns the int32 row of one that is true, each equally likely."""
-    draws = jax.random.uniform(key, good.shape, jnp.float32)
+def _choose(draws: jax.Array, good: jax.Array) -> jax.Array:
+    """Returns the int32 row of one that is true, each equally likely, by uniform `draws` [K]."""
     return jnp.argmax(jnp.where(good, draws, -1.0)).astype(jnp.int32)

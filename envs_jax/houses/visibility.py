@@ -161,8 +161,15 @@ def nearest(boxes: jax.Array, wanted: jax.Array, position: jax.Array, count: int
     Where fewer are wanted, the rest are any others.
     """
     away = jnp.sum((boxes[:, CENTER][:, ::2] - position) ** 2, axis=-1)
-    _, rows = jax.lax.top_k(jnp.where(wanted, -away, -jnp.inf), min(count, boxes.shape[0]))
-    return rows.astype(jnp.int32)
+    numbers = jnp.arange(boxes.shape[0], dtype=jnp.int32)
+    # What is not wanted is not as far as what has been taken.
+    away = jnp.where(wanted, away, jnp.finfo(jnp.float32).max)
+
+    def take(away: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
+        row = jnp.argmin(away).astype(jnp.int32)
+        return jnp.where(numbers == row, jnp.inf, away), row
+
+    return jax.lax.scan(take, away, length=min(count, boxes.shape[0]))[1]
 
 
 def seen_points(
