@@ -22,6 +22,7 @@ import jax
 import jax.numpy as jnp
 
 from envs_jax.houses.collision import obstacles as find_obstacles
+from envs_jax.houses.comparisons import greater, lesser
 from envs_jax.houses.scene import CENTER, COSINE, HALF_SIZE, NOWHERE, SINE, Scene, to_local
 from envs_jax.houses.state import Body
 
@@ -247,12 +248,12 @@ def visible(obstacles: jax.Array, radii: jax.Array, start: jax.Array, end: jax.A
         u = cosine * half_x - sine * half_z
         v = sine * half_x + cosine * half_z
         a, b = jnp.abs(u), jnp.abs(v)
-        apart = jnp.maximum(jnp.abs(x) - a - size_x, jnp.abs(z) - b - size_z) - radius
-        diagonal = jnp.maximum(jnp.abs(x + z) - jnp.abs(u + v), jnp.abs(x - z) - jnp.abs(u - v))
-        apart = jnp.maximum(apart, diagonal - (size_x + size_z + _ROOT * radius))
+        apart = greater(jnp.abs(x) - a - size_x, jnp.abs(z) - b - size_z) - radius
+        diagonal = greater(jnp.abs(x + z) - jnp.abs(u + v), jnp.abs(x - z) - jnp.abs(u - v))
+        apart = greater(apart, diagonal - (size_x + size_z + _ROOT * radius))
         across = size_x * b + size_z * a
-        across += radius * (jnp.maximum(a, b) + _EIGHTH * jnp.minimum(a, b))
-        return jnp.minimum(gap, jnp.maximum(apart, jnp.abs(x * v - z * u) - across)), None
+        across += radius * (greater(a, b) + _EIGHTH * lesser(a, b))
+        return lesser(gap, greater(apart, jnp.abs(x * v - z * u) - across)), None
 
     shape = jnp.broadcast_shapes(start.shape, end.shape)[:-1]
     # The compiler makes vectors of numbers, but not of truths.

@@ -40,16 +40,19 @@ def inside(pose: Pose, scene: Scene) -> bool:
 
 
 def test_depths_and_surfaces_are_those_of_another_caster_in_float64() -> None:
-    wrong, total = 0, 0
+    wrong, off, total = 0, 0, 0
     for pose, scene, view, hits in views(range(12)):
         rays = random_scenes.directions(CAMERA, pose)
         origin = np.asarray(pose.position, np.float64)
         depth, surface = random_scenes.cast(origin, rays, scene, CAMERA.near)
         same = view.surface == surface
         wrong, total = wrong + np.sum(~same), total + same.size
-        np.testing.assert_allclose(view.depth[same], depth[same], rtol=1.8e-5, atol=1e-6)
+        # Rounding to the bits of a key, and what float32 loses on rays that graze a face.
+        np.testing.assert_allclose(view.depth[same], depth[same], rtol=1.8e-5, atol=2e-5)
         np.testing.assert_allclose(hits.depth[same], depth[same], rtol=5e-6, atol=2e-5)
+        off += np.sum(~np.isclose(view.depth[same], depth[same], rtol=1.8e-5, atol=1e-6))
     assert wrong <= 1e-3 * total
+    assert off <= 2e-4 * total
 
 
 def test_depths_and_surfaces_are_those_of_mujoco() -> None:
