@@ -116,7 +116,7 @@ def _compile(world: Any, job: Job) -> tuple[Any, Facts]:
 def _jaxact(job: Job) -> tuple[Running, Facts]:
     import envs_jax
 
-    loop, facts = _compile(JaxactWorld(envs_jax.make(job.id)), job)
+    loop, facts = _compile(JaxactWorld(envs_jax.make(job.id), job.devices), job)
     # It may depend on the level.
     return loop, facts | {"horizon": int(np.median(loop.carry.state[0].horizon))}
 
@@ -124,8 +124,8 @@ def _jaxact(job: Job) -> tuple[Running, Facts]:
 class JaxactWorld:
     """jaxact's worlds with the episode queues that its training uses."""
 
-    def __init__(self, pomdp: Any) -> None:
-        self.pomdp = pomdp
+    def __init__(self, pomdp: Any, devices: int) -> None:
+        self.pomdp, self.devices = pomdp, devices
         self.action_space = pomdp.action_space
 
     def begin(self, key: Any, lanes: int) -> tuple[PyTree, PyTree]:
@@ -141,9 +141,9 @@ class JaxactWorld:
         keys = jax.random.split(lanes_key, lanes)
         # Their horizon being zero, all of them turn over in the first step.
         waiting = start_lanes(self.pomdp, sampler_state, no_model, keys, QUEUE_LENGTH)
-        # One copy of the sampler's state a lane, so that all leaves have the same first axis.
+        # One copy of the sampler's state a device: its first axis is sharded as the lanes' are.
         sampler_states = jax.tree.map(
-            lambda x: jnp.broadcast_to(x, (lanes, *x.shape)), sampler_state
+            lambda x: jnp.broadcast_to(x, (self.devices, *x.shape)), sampler_state
         )
         return (waiting.state, waiting.queue, sampler_states), waiting.observation
 

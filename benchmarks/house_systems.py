@@ -1,5 +1,7 @@
 """The systems whose first-person pictures are timed: jaxact's houses, and worlds by their peers.
 
+Of jaxact there are two: PointNav as it is trained, and its camera alone.
+
 Each is started, compiled and warm, by `build`; a peer that is not installed raises `Unsupported`.
 """
 
@@ -13,12 +15,24 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.env_systems import PHILOX, Facts, Host, Running, require
+from benchmarks.env_systems import (
+    PHILOX,
+    Facts,
+    Host,
+    JaxactWorld,
+    Running,
+    Unsupported,
+    require,
+)
 
 # What jaxact's camera takes; in "rgb 2x2" each pixel is the mean of four rays.
 READINGS = ("depth", "instance", "depth+semantic", "rgb", "rgb 2x2")
 # Metres of the square that the boxes stand in, and of its ceiling.
 _SQUARE, _CEILING = 10.0, 2.5
+# One action in so many is "end", so that episodes last a hundred steps on average.
+_END = 100
+# Houses that episodes are drawn from.
+_HOUSES = 128
 # ViZDoom's smallest screen.
 _DOOM_SCREEN = (120, 160)
 
@@ -65,10 +79,9 @@ class System:
     share: float = 1.0
 
 
-def _houses(job: Job) -> tuple[Running, Facts]:
+def _compile(world: Any, job: Job) -> tuple[Running, Facts]:
     from benchmarks.jax_loop import compile_loop
 
-    world = CameraWorld(job)
     loop = compile_loop(world, job.seed, PHILOX, job.lanes, job.steps, job.devices)
     used = loop.program.memory_analysis()
     # The loop's state is donated: it is held once.
@@ -78,11 +91,67 @@ def _houses(job: Job) -> tuple[Running, Facts]:
     return loop, facts
 
 
+def _sensors(reading: str, camera: Any, body: Any) -> dict[str, Any]:
+    """Returns the sensors of a reading."""
+    from envs_jax.houses import vision
+
+    makers: dict[str, Callable[[], Any]] = {
+        "depth": lambda: vision.DepthSensor(camera, body, vision.HABITAT_DEPTH),
+        "instance": lambda: vision.InstanceSensor(camera, body),
+        "semantic": lambda: vision.SemanticSensor(camera, body),
+        "rgb": lambda: vision.RGBSensor(camera, body),
+        "rgb 2x2": lambda: vision.RGBSensor(camera, body, rays=2),
+    }
+    return {name: makers[name]() for name in reading.split("+")}
+
+
+def _point_nav(job: Job) -> tuple[Running, Facts]:
+    return _compile(PointNavWorld(job), job)
+
+
+def _camera(job: Job) -> tuple[Running, Facts]:
+    return _compile(CameraWorld(job), job)
+
+
+class PointNavWorld(JaxactWorld):
+    """RoboTHOR's PointNav in apartments, with the episode queues that training uses."""
+
+    def __init__(self, job: Job) -> None:
+        import envs_jax
+        from envs_jax.houses.bank import GeneratedScenes
+        from envs_jax.houses.catalogue import PLATFORMS
+        from envs_jax.houses.generator import APARTMENT
+        from jaxact.errors import JaxactError
+        from jaxact.spaces import Discrete
+
+        try:
+            style = replace(APARTMENT, boxes=job.boxes)
+        except JaxactError as error:
+            raise Unsupported(str(error)) from error
+        pomdp = envs_jax.make(
+            "RoboTHOR-PointNav-v0", observation=(), scenes=GeneratedScenes(style, _HOUSES)
+        )
+        camera, body = PLATFORMS["robothor"].camera(job.pixels), pomdp.environment.body
+        sensors = {**pomdp.sensors, **_sensors(job.reading, camera, body)}
+        super().__init__(replace(pomdp, sensors=sensors), job.devices)
+        self.names = pomdp.environment.action_names
+        self.action_space = Discrete((len(self.names) - 1) * _END)
+
+    def step(self, key: Any, state: Any, action: Any) -> tuple[Any, Any, Any, Any]:
+        """See `benchmarks.jax_loop.World`; one action in `_END` is "end", the others moves."""
+        import jax.numpy as jnp
+
+        moves = [i for i, name in enumerate(self.names) if name != "end"]
+        chosen = jnp.asarray(moves, jnp.int32)[action % len(moves)]
+        ends = action < self.action_space.n // _END
+        chosen = jnp.where(ends, jnp.int32(self.names.index("end")), chosen)
+        return super().step(key, state, chosen)
+
+
 class CameraWorld:
     """Cameras that turn and walk about in houses of boxes, through them if need be."""
 
     def __init__(self, job: Job) -> None:
-        from envs_jax.houses import vision
         from envs_jax.houses.camera import Camera
         from envs_jax.houses.state import Body
         from jaxact.spaces import Discrete
@@ -91,14 +160,7 @@ class CameraWorld:
         self.action_space = Discrete(3)
         self.boxes = job.boxes
         self.random = np.random.default_rng(job.seed)
-        sensors = {
-            "depth": vision.DepthSensor(camera, body, vision.HABITAT_DEPTH),
-            "instance": vision.InstanceSensor(camera, body),
-            "semantic": vision.SemanticSensor(camera, body),
-            "rgb": vision.RGBSensor(camera, body),
-            "rgb 2x2": vision.RGBSensor(camera, body, rays=2),
-        }
-        self.sensors = {name: sensors[name] for name in job.reading.split("+")}
+        self.sensors = _sensors(job.reading, camera, body)
 
     def begin(self, key: Any, lanes: int) -> tuple[Any, Any]:
         """See `benchmarks.jax_loop.World`."""
@@ -265,7 +327,14 @@ class VizDoomLoop(Host):
 
 SYSTEMS = {
     "jaxact": System(
-        build=_houses,
+        build=_point_nav,
+        observation="the goal, and as said by `reading`",
+        does="RoboTHOR's PointNav: collisions, geodesic reward, next episode at the end",
+        # Long enough for the queues of episodes to be refilled.
+        share=8.0,
+    ),
+    "camera": System(
+        build=_camera,
         observation="as said by `reading`, with floor and ceiling",
         does="a move or a turn, no collisions, no task",
     ),
@@ -282,4 +351,5 @@ SYSTEMS = {
         share=16.0,
     ),
 }
-PEERS = tuple(name for name in SYSTEMS if name != "jaxact")
+OWN = ("jaxact", "camera")
+PEERS = tuple(name for name in SYSTEMS if name not in OWN)

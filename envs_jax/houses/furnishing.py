@@ -6,7 +6,8 @@ same wall; what stands in the open keeps `PASSAGE` from everything. So the thing
 cannot pass between form, with the walls, lumps that touch a room's border in one stretch each, and
 a rectangle without such lumps is connected. Before doorways nothing stands.
 
-Things lie within 3 cm of an edge that the body can come to: the front of what stands at a wall, and
+Before what stands at a wall, between its neighbours, the body has room. Things lie within 3 cm of
+an edge that the body can come to: the front of what stands at a wall, and
 the ends of what stands in the open (chairs are at its sides).
 """
 
@@ -26,8 +27,10 @@ from envs_jax.houses.floor_plans import FloorPlan
 
 WIDEST_BODY = 0.2
 PASSAGE = 2 * WIDEST_BODY + 0.1
-# What stands side by side at a wall; so that one can stand before the narrowest of them.
+# What stands side by side at a wall; more beside what is narrow, so that one can stand before it
+# however deep its neighbours are.
 _SIDE_GAP = 0.1
+_STANDING_ROOM = 2 * WIDEST_BODY + 0.04
 _EDGE = 0.03
 # Things on anything higher could not be seen, and things on what is as high as a camera only if
 # they are not too flat.
@@ -273,6 +276,11 @@ def _offset(turn: jax.Array, local: jax.Array) -> jax.Array:
     return jnp.stack([cosine * x + sine * z, cosine * z - sine * x], axis=-1)
 
 
+def _side_gap(width: jax.Array) -> jax.Array:
+    """Returns the metres to leave on either side of what stands at a wall, so wide each."""
+    return jnp.maximum(_SIDE_GAP, (_STANDING_ROOM - width) / 2)
+
+
 def _at_wall(
     draws: jax.Array, room: jax.Array, size: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -288,9 +296,9 @@ def _at_wall(
     """
     wall = jnp.minimum((draws[:, 0] * 4).astype(jnp.int32), 3)
     along_z = wall < 2
-    half_width, depth = size[0] / 2, size[2]
-    low = jnp.where(along_z, room[:, 1], room[:, 0]) + _SIDE_GAP + half_width
-    high = jnp.where(along_z, room[:, 3], room[:, 2]) - _SIDE_GAP - half_width
+    margin, depth = _side_gap(size[0]) + size[0] / 2, size[2]
+    low = jnp.where(along_z, room[:, 1], room[:, 0]) + margin
+    high = jnp.where(along_z, room[:, 3], room[:, 2]) - margin
     along = low + draws[:, 1] * (high - low)
     at_low = (wall == 0) | (wall == 2)
     face = jnp.where(
@@ -388,7 +396,8 @@ def _place(
     extent = _around(plan, half, turn)
     kept = _around(plan, with_chairs, turn)
     same_wall = (pieces.place[None] == place[:, None]) & (place[:, None] < OPEN)
-    gap = jnp.where(same_wall, _SIDE_GAP, PASSAGE)
+    beside = jnp.maximum(_side_gap(size[0]), _side_gap(2 * pieces.half_size[:, 0]))
+    gap = jnp.where(same_wall, beside, PASSAGE)
     # Chairs at a table are within what it keeps: they mind only each other.
     of_table = pieces.place == TABLE
     crowded = overlap(kept[:, None], pieces.kept[None], gap) & ~of_table

@@ -16,10 +16,13 @@ def test_prints_the_machine_and_a_line_for_each_system(monkeypatch):
     absent = house_systems.System(missing, "nothing", "nothing")
     monkeypatch.setitem(house_systems.SYSTEMS, "vizdoom", absent)
     arguments = Arguments(("depth",), (8,), (8,), (2,), 2, 2, peers=("vizdoom",), devices=1)
-    machine, peer, line = measure(arguments)
+    machine, refused, peer, line = measure(arguments)
     assert machine["versions"]["jax"]
     assert peer == {"system": "vizdoom", "pixels": (8, 8), "unsupported": "not installed"}
-    assert (line["system"], line["reading"], line["pixels"]) == ("jaxact", "depth", (8, 8))
+    # Apartments have more boxes than so.
+    assert refused["system"] == "jaxact"
+    assert "need" in refused["unsupported"]
+    assert (line["system"], line["reading"], line["pixels"]) == ("camera", "depth", (8, 8))
     assert (line["boxes"], line["lanes"], line["steps"], line["repeats"]) == (8, 2, 2, 2)
     assert line["frames_per_second"] >= line["frames_per_second_median"] > 0
     for name in ("compile_seconds", "memory_per_lane_kb", "checksum"):

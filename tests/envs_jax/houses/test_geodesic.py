@@ -9,7 +9,7 @@ from small_houses import BODY, ROOMS, cluttered, free_plans, walls
 
 from envs_jax.houses.categories import index
 from envs_jax.houses.collision import obstacles
-from envs_jax.houses.geodesic import build_roadmap, distance, goal_field, is_reachable, path
+from envs_jax.houses.geodesic import build_roadmap, distance, goal_field, path, shortest
 from envs_jax.houses.scene import make_scene
 
 # Sides of a quarter of a circle in the reference.
@@ -84,7 +84,7 @@ def measure():
         def one(start, goal):
             field = goal_field(roadmap, boxes, BODY.radius, goal[None])
             metres, _ = distance(field, boxes, BODY.radius, start)
-            reachable = is_reachable(field, boxes, BODY.radius, start)
+            reachable = shortest(field, boxes, BODY.radius, start) < jnp.inf
             return metres, reachable, path(field, boxes, BODY.radius, start, 16)
 
         return roadmap.overflow, *jax.vmap(one)(starts, goals)

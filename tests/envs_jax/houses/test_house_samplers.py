@@ -53,7 +53,7 @@ def test_object_nav_in_imported_houses() -> None:
     task = ObjectNav(HOUSE)
     sampler = ObjectNavSampler(task, ImportedScenes(houses), ("Mug", "Television"), nodes=128)
     bank = jax.jit(sampler.init)(jax.random.key(0))
-    assert not np.asarray(bank.present)[:, 1].any()
+    assert not np.asarray(bank.findable)[:, 1].any()
     keys = jax.random.split(jax.random.key(1), 16)
     episodes = jax.jit(jax.vmap(sampler.sample, (0, None)))(keys, bank)
     assert (np.asarray(episodes.task.category) == categories.index("Mug")).all()
@@ -91,4 +91,4 @@ def test_ways_are_as_long_as_in_robothor() -> None:
     there = np.stack(
         [(categories_there == categories.index(name)).any(1) for name in sampler.targets], 1
     )
-    assert np.asarray(bank.present).any(2)[there].mean() > 0.99
+    assert np.asarray(bank.findable)[there].mean() > 0.99

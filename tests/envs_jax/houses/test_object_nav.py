@@ -12,7 +12,7 @@ from envs_jax.houses import presets
 from envs_jax.houses.categories import index
 from envs_jax.houses.collision import obstacles
 from envs_jax.houses.environment import House
-from envs_jax.houses.geodesic import MARGIN, GoalField, build_roadmap
+from envs_jax.houses.geodesic import MARGIN, GoalField, build_roadmap, goal_field
 from envs_jax.houses.journey import Journey
 from envs_jax.houses.point_nav import PointNavState
 from envs_jax.houses.scene import make_scene
@@ -132,6 +132,12 @@ def follow(task, episodes, horizon):
     return spl
 
 
+def field_of(body, scene, goals, present=None):
+    """How far goals are in a scene."""
+    boxes = obstacles(scene.boxes, body)
+    return goal_field(build_roadmap(scene, body, 128), boxes, body.radius, goals, present)
+
+
 def point_episodes(task, seeds, each, room):
     """Episodes in cluttered houses with so much more room than the body needs."""
     wide = replace(task.house.body, radius=task.house.body.radius + room)
@@ -139,10 +145,10 @@ def point_episodes(task, seeds, each, room):
     @jax.jit
     def begin(scene, start, goal):
         state = task.house.start(scene, start)
-        roadmap = build_roadmap(scene, task.house.body, 128)
         broad = replace(task, house=replace(task.house, body=wide))
-        fits = broad.start(build_roadmap(scene, wide, 128), state, goal).journey.start_distance
-        return state, task.start(roadmap, state, goal), jnp.isfinite(fits)
+        fits = broad.start(field_of(wide, scene, goal[None]), state, goal).journey.start_distance
+        field = field_of(task.house.body, scene, goal[None])
+        return state, task.start(field, state, goal), jnp.isfinite(fits)
 
     found = []
     for seed in seeds:
@@ -177,9 +183,8 @@ def object_episodes(task, count):
     @jax.jit
     def begin(start, yaw):
         state = task.house.start(scene, start, yaw, 30.0)
-        roadmap = build_roadmap(scene, task.house.body, 64)
-        goals, present = task.goals(scene, jnp.int32(MUG))
-        return state, task.start(roadmap, state, jnp.int32(MUG), goals, present)
+        field = field_of(task.house.body, scene, *task.goals(scene, jnp.int32(MUG)))
+        return state, task.start(field, state, jnp.int32(MUG))
 
     rng = np.random.default_rng(0)
     starts = rng.uniform((0.4, 0.4), (3.5, 4.6), (count, 2)).astype(np.float32)

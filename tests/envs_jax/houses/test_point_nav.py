@@ -8,8 +8,9 @@ import pytest
 from small_houses import BODY, ROOMS, walls
 
 from envs_jax.houses.categories import index
+from envs_jax.houses.collision import obstacles
 from envs_jax.houses.environment import House
-from envs_jax.houses.geodesic import GoalField, build_roadmap
+from envs_jax.houses.geodesic import GoalField, build_roadmap, goal_field
 from envs_jax.houses.journey import Journey
 from envs_jax.houses.point_nav import PointNav
 from envs_jax.houses.scene import make_scene
@@ -24,12 +25,13 @@ TASK = PointNav(HOUSE)
 def play():
     """Plays actions from (1, 1) towards a goal; returns what each step says."""
     scene = make_scene(walls(), [index("Wall")] * 7, ROOMS)
-    roadmap = jax.jit(lambda: build_roadmap(scene, BODY, 32))()
 
     @jax.jit
     def start(goal):
         state = HOUSE.start(scene, jnp.array([1, 1], jnp.float32))
-        return state, TASK.start(roadmap, state, goal)
+        roadmap = build_roadmap(scene, BODY, 32)
+        field = goal_field(roadmap, obstacles(scene.boxes, BODY), BODY.radius, goal[None])
+        return state, TASK.start(field, state, goal)
 
     @jax.jit
     def step(state, task_state, action):
