@@ -279,6 +279,15 @@ class Worded(Protocol):
         ...
 
 
+@runtime_checkable
+class Dependent(Protocol):
+    """A part that has numbers of another part too, and refuses to work beside other ones."""
+
+    def check(self, pomdp: POMDP) -> None:
+        """Raises JaxactError if the POMDP's other parts disagree with this one."""
+        ...
+
+
 @dataclass(frozen=True)
 class POMDP:
     """Environment, task, sampler and sensors, composed.
@@ -294,6 +303,9 @@ class POMDP:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sensors", FrozenMapping(sorted(self.sensors.items())))
+        for part in (self.task, self.sampler, *self.sensors.values()):
+            if isinstance(part, Dependent):
+                part.check(self)
 
     @property
     def action_space(self) -> Space:

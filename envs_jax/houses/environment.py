@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import ClassVar
 
 import jax
@@ -13,7 +13,7 @@ from envs_jax.houses.noise import Noise
 from envs_jax.houses.scene import Scene, forward
 from envs_jax.houses.state import Body, HouseState
 from jaxact.errors import JaxactError, unknown
-from jaxact.pomdp import Environment
+from jaxact.pomdp import POMDP, Environment
 from jaxact.spaces import Discrete
 
 ACTIONS: tuple[str, ...] = (
@@ -175,3 +175,26 @@ class House(Environment):
         """Returns the float32 amount that belongs to an action, 0 for those not named."""
         table = [amounts.get(name, 0.0) for name in self.actions]
         return jnp.asarray(table, jnp.float32)[action]
+
+
+def check_house(owner: str, house: House, pomdp: POMDP) -> None:
+    """Refuses a part that was made for another body or other moves than the environment has.
+
+    Args:
+      owner: what the part is called.
+      house: what the part was made for.
+      pomdp: that it is to be a part of.
+
+    Raises:
+      JaxactError: they differ; the message says in what.
+    """
+    environment = pomdp.environment
+    if not isinstance(environment, House) or environment == house:
+        return
+    for field in fields(House):
+        here, there = (getattr(each, field.name) for each in (house, environment))
+        if here != there:
+            raise JaxactError(
+                f"{owner}.{field.name} is {here!r}, but environment.{field.name} is {there!r}: "
+                "a house's dynamics are set alike in environment, task.house and sampler.task.house"
+            )

@@ -11,7 +11,7 @@ from envs_jax.houses import journey as journeys
 from envs_jax.houses import visibility
 from envs_jax.houses.collision import obstacles
 from envs_jax.houses.draws import first_true
-from envs_jax.houses.environment import House
+from envs_jax.houses.environment import House, check_house
 from envs_jax.houses.expert import look, walk
 from envs_jax.houses.geodesic import GoalField
 from envs_jax.houses.journey import Journey
@@ -19,7 +19,7 @@ from envs_jax.houses.scene import Scene
 from envs_jax.houses.state import HouseState
 from envs_jax.houses.visibility import ROBOTHOR_SIGHT, Sight
 from jaxact.errors import unknown
-from jaxact.pomdp import ExpertAction, Outcome, Task
+from jaxact.pomdp import POMDP, ExpertAction, Outcome, Task
 
 RULES = ("visible", "view_point")
 
@@ -178,6 +178,10 @@ class ObjectNav(Task):
             state.yaw,
             state.pitch,
         )
+
+    def check(self, pomdp: POMDP) -> None:
+        """Refuses an environment with other dynamics than `house`."""
+        check_house("task.house", self.house, pomdp)
 
     def _number(self, name: str) -> jax.Array:
         return jnp.asarray(getattr(self, name), jnp.float32)

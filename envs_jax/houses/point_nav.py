@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 
 from envs_jax.houses import journey as journeys
-from envs_jax.houses.environment import House
+from envs_jax.houses.environment import House, check_house
 from envs_jax.houses.expert import walk
 from envs_jax.houses.geodesic import GoalField
 from envs_jax.houses.journey import Journey
 from envs_jax.houses.state import HouseState
-from jaxact.pomdp import ExpertAction, Outcome, Task
+from jaxact.pomdp import POMDP, ExpertAction, Outcome, Task
 
 
 @jax.tree_util.register_dataclass
@@ -113,6 +113,10 @@ class PointNav(Task):
         radius = self._number("radius")
         near = journey.distance < radius if self.strict else journey.distance <= radius
         return near & jnp.isfinite(journey.start_distance)
+
+    def check(self, pomdp: POMDP) -> None:
+        """Refuses an environment with other dynamics than `house`."""
+        check_house("task.house", self.house, pomdp)
 
     def _number(self, name: str) -> jax.Array:
         return jnp.asarray(getattr(self, name), jnp.float32)

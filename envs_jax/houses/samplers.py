@@ -15,14 +15,14 @@ from envs_jax.houses import categories
 from envs_jax.houses.bank import CANDIDATES, Bank, Scenes, build_bank, free_places
 from envs_jax.houses.collision import obstacles
 from envs_jax.houses.draws import draw, first_true, pick
-from envs_jax.houses.environment import House
+from envs_jax.houses.environment import House, check_house
 from envs_jax.houses.geodesic import GoalField, Roadmap, goal_field, shortest
 from envs_jax.houses.object_nav import ObjectNav
 from envs_jax.houses.point_nav import PointNav
 from envs_jax.houses.scene import Scene
 from envs_jax.houses.state import HouseState
 from jaxact.errors import JaxactError
-from jaxact.pomdp import Episode, PyTree, TaskSampler
+from jaxact.pomdp import POMDP, Episode, PyTree, TaskSampler
 
 # Of so many of the places that are free it is looked whether they can be the goal.
 _GOALS = 4
@@ -73,6 +73,10 @@ class PointNavSampler(TaskSampler):
     starts: Starts = Starts()
     horizon: int = 500
     nodes: int = 256
+
+    def check(self, pomdp: POMDP) -> None:
+        """Refuses an environment with other dynamics than the task's `house`."""
+        check_house("sampler.task.house", self.task.house, pomdp)
 
     @property
     def held_out(self) -> PointNavSampler:
@@ -145,6 +149,16 @@ class ObjectNavSampler(TaskSampler):
             raise JaxactError("ObjectNav needs at least one target")
         for name in self.targets:
             categories.index(name)
+
+    def check(self, pomdp: POMDP) -> None:
+        """Refuses other dynamics than the task's `house`, and other eyes than its `sight`."""
+        check_house("sampler.task.house", self.task.house, pomdp)
+        judge = pomdp.task
+        if isinstance(judge, ObjectNav) and judge.sight != self.task.sight:
+            raise JaxactError(
+                f"sampler.task.sight is {self.task.sight!r}, but task.sight is {judge.sight!r}: "
+                "goals are where things are visible, so both are set alike"
+            )
 
     @property
     def held_out(self) -> ObjectNavSampler:

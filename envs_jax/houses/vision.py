@@ -22,7 +22,7 @@ from envs_jax.houses.scene import CENTER, HALF_SIZE, forward, to_local
 from envs_jax.houses.sensor_noise import DisparityNoise, GaussianNoise, noise_key
 from envs_jax.houses.state import Body, HouseState
 from jaxact.errors import JaxactError
-from jaxact.pomdp import PyTree, Sensor
+from jaxact.pomdp import POMDP, PyTree, Sensor
 from jaxact.spaces import Box
 
 # Streams of noise.
@@ -72,6 +72,15 @@ class CameraSensor(Sensor):
 
     camera: Camera
     body: Body
+
+    def check(self, pomdp: POMDP) -> None:
+        """Refuses a body that is not the environment's."""
+        body = getattr(pomdp.environment, "body", self.body)
+        if body != self.body:
+            raise JaxactError(
+                f"a camera's body is {self.body!r}, but environment.body is {body!r}: "
+                "both are set alike"
+            )
 
     def look(self, state: HouseState) -> View:
         """Returns what the camera sees."""

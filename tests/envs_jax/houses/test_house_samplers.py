@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from small_houses import cluttered
 
+import envs_jax
 from envs_jax.houses import categories
 from envs_jax.houses.bank import GeneratedScenes, ImportedScenes, stack
 from envs_jax.houses.collision import is_free, obstacles
@@ -17,6 +18,7 @@ from envs_jax.houses.point_nav import PointNav
 from envs_jax.houses.samplers import ObjectNavSampler, PointNavSampler, Starts
 from envs_jax.houses.state import Body
 from jaxact.errors import JaxactError
+from jaxact.overrides import override
 
 BODY = Body(0.175, 0.9, 0.87)
 HOUSE = House(BODY, ("move_ahead", "rotate_left", "rotate_right", "end"))
@@ -71,6 +73,26 @@ def test_held_out_houses_are_others() -> None:
         GeneratedScenes(APARTMENT, split="dev")
     with pytest.raises(JaxactError, match="at least one"):
         stack([])
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (("environment.turn=10.0",), "task.house.turn is 30.0, but environment.turn is 10.0"),
+        (
+            ("environment.turn=10.0", "task.house.turn=10.0"),
+            "sampler.task.house.turn is 30.0, but environment.turn is 10.0",
+        ),
+        (("task.sight.distance=1.5",), "sampler.task.sight is .*distance=1.0.*, but task.sight is"),
+        (("sensors.depth.body.camera_height=1.0",), "camera's body is .* but environment.body is"),
+    ],
+)
+def test_parts_that_disagree_are_refused(changes: tuple[str, ...], said: str) -> None:
+    pomdp = envs_jax.make("RoboTHOR-ObjectNav-v0")
+    with pytest.raises(JaxactError, match=said):
+        override(pomdp, changes)
+    alike = [f"{part}.turn=10.0" for part in ("environment", "task.house", "sampler.task.house")]
+    assert override(pomdp, alike).environment.turn == 10
 
 
 @pytest.mark.slow
