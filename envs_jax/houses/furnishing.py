@@ -7,8 +7,8 @@ cannot pass between form, with the walls, lumps that touch a room's border in on
 a rectangle without such lumps is connected. Before doorways nothing stands.
 
 Before what stands at a wall, between its neighbours, the body has room. Things lie within 3 cm of
-an edge that the body can come to: the front of what stands at a wall, and
-the ends of what stands in the open (chairs are at its sides).
+an edge that the body can come to: the front of what stands at a wall, and the ends of what stands
+in the open (chairs are at its sides).
 """
 
 from __future__ import annotations
