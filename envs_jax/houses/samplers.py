@@ -12,10 +12,12 @@ import jax
 import jax.numpy as jnp
 
 from envs_jax.houses import categories
+from envs_jax.houses import lattice as lattices
 from envs_jax.houses.bank import Bank, Scenes, build_bank, free_places
 from envs_jax.houses.collision import obstacles
 from envs_jax.houses.environment import House
 from envs_jax.houses.geodesic import GoalField, distance, goal_field, is_reachable
+from envs_jax.houses.lattice import Lattice
 from envs_jax.houses.object_nav import ObjectNav
 from envs_jax.houses.point_nav import PointNav
 from envs_jax.houses.scene import Scene
@@ -165,9 +167,10 @@ class ObjectNavSampler(TaskSampler):
         chosen = _choose(target_key, findable)
         places, present = targets.places[index, chosen], targets.present[index, chosen]
         field = goal_field(roadmap, blocked, body.radius, places, present)
-        state = _begin(start_key, self.starts, self.task.house, scene, blocked, field)
         category = self._targets[chosen]
-        task_state = self.task.start(roadmap, state, category, places, present)
+        lattice = self.task.survey(scene, category)
+        state = _begin(start_key, self.starts, self.task.house, scene, blocked, field, lattice)
+        task_state = self.task.start(roadmap, state, category, places, present, lattice)
         return Episode(state, task_state, jnp.int32(self.horizon))
 
     @property
@@ -182,6 +185,7 @@ def _begin(
     scene: Scene,
     blocked: jax.Array,
     field: GoalField,
+    lattice: Lattice | None = None,
 ) -> HouseState:
     """Puts the agent down somewhere from where the way to the goal has the length it should."""
     place_key, choice_key, yaw_key = jax.random.split(key, 3)
@@ -191,6 +195,9 @@ def _begin(
     places, free = places[rows], free > 0
     metres = jax.vmap(lambda place: distance(field, blocked, radius, place)[0])(places)
     can = free & jax.vmap(lambda place: is_reachable(field, blocked, radius, place))(places)
+    if lattice is not None:
+        step = house.step_size
+        can &= jax.vmap(lambda place: lattices.is_reachable(lattice, step, place))(places)
     # The goals of a field are its first nodes without any way left to go.
     goals = jnp.where(field.lengths[:, None] <= 0, field.nodes, jnp.inf)
     crow = jnp.sqrt(jnp.min(jnp.sum((places[:, None] - goals) ** 2, axis=-1), axis=1))
