@@ -47,7 +47,8 @@ def walk(house: House, journey: Journey, state: HouseState, arrived: jax.Array) 
       house: the dynamics; noise is left out of account.
       journey: so far.
       state: of the agent.
-      arrived: float32 scalar, metres from a goal within which nothing is gained by going nearer.
+      arrived: float32 scalar, metres from a goal within which nothing is gained by going nearer; 0
+        if goals only show the way.
 
     Returns:
       An int32 scalar, one of `house.actions`.
@@ -75,7 +76,7 @@ def walk(house: House, journey: Journey, state: HouseState, arrived: jax.Array) 
     # Who leaves a corner must not go back to it.
     detour = now - journey.nearest
     searches = stuck | ((detour > _GAIN) & (detour < _DETOUR))
-    close = (2 * arrived < house.step_size) & (now < _CAREFUL)
+    close = (arrived > 0) & (2 * arrived < house.step_size) & (now < _CAREFUL)
     least = jnp.minimum(now, journey.nearest)
     enough = jnp.where(close, arrived, jnp.maximum(least - _PROGRESS, arrived))
     useful = jnp.where(close, arrived, jnp.maximum(least - _GAIN, arrived))
