@@ -2,48 +2,60 @@
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import jax
 import jax.numpy as jnp
 
-from envs_jax.houses.collision import obstacles
+from envs_jax.houses.collision import clearance, obstacles, sweep
 from envs_jax.houses.environment import House
-from envs_jax.houses.geodesic import GoalField, distance, nearby
+from envs_jax.houses.geodesic import GoalField, distance, nearby, ways
+from envs_jax.houses.journey import Journey
 from envs_jax.houses.scene import forward
 from envs_jax.houses.state import HouseState
 from envs_jax.houses.visibility import Sight, camera, in_frustum, seen_points
+from jaxact.compaction import while_loop_for_few
 
 # Metres that each turn counts for, to choose between headings that are as good.
 _TURN_COST = 1e-3
-# How many nodes of the way it plans with, and how near they are if not seen, in metres.
-_NODES, _NEAR = 24, 0.75
-# A step that leads no nearer than this, in metres, ends in a corner: it then prefers any step at
-# random, by up to so much.
+# Of the nodes of the way it plans with so many that it sees, and so many that it does not within
+# some metres.
+_SEEN, _HIDDEN, _NEAR = 8, 4, 1.5
+# A step or walk that leads no nearer than this, in metres, ends in a corner: if no walk leads out
+# of it, any step is preferred at random, by up to so much.
 _GAIN, _LUCK = 0.02, 0.4
+# Up to so many metres further from a goal than it has been, it may be on its way out of a corner.
+_DETOUR = 1.5
+# Metres from a goal that a step can miss at which it begins to search.
+_CAREFUL = 1.0
+# A search is over once a walk leads nearer by so many metres.
+_PROGRESS = 0.1
+# A search goes on from so many places at a time, one in each square of so many metres, for so many
+# steps, among so many boxes, the nearest.
+_PLACES, _SQUARE, _DEPTH, _BOXES = 24, 0.03, 8, 16
 
 
-def walk(house: House, field: GoalField, state: HouseState, walked: jax.Array) -> jax.Array:
+def walk(house: House, journey: Journey, state: HouseState, arrived: jax.Array) -> jax.Array:
     """Returns the next action of a short way to the nearest goal.
 
     Of all headings that turns lead to, it takes the one in which a step ahead leaves the shortest
-    way. In a corner from which no step leads nearer it tries one at random, and sticks to it while
-    it turns there. That leads out of most corners, not of all: where moves that touch anything fail
-    and headings are few, it can stay in one until time is up.
+    way. Where no step leads nearer, and close to goals that a step can miss, it searches for the
+    walk of fewest steps to a place that is nearer than it has been, or near enough. If there is
+    none, it takes a step at random.
 
     Args:
       house: the dynamics; noise is left out of account.
-      field: of the goals.
+      journey: so far.
       state: of the agent.
-      walked: float32 scalar, metres since the start, by which it draws at random.
+      arrived: float32 scalar, metres from a goal within which nothing is gained by going nearer; 0
+        if goals only show the way.
 
     Returns:
       An int32 scalar, one of `house.actions`.
     """
     boxes, radius = obstacles(state.scene.boxes, house.body), house.body.radius
+    field, now = nearby(journey.field, boxes, radius, state.position, _SEEN, _HIDDEN, _NEAR)
     turns = _turns(house)
-    now, _ = distance(field, boxes, radius, state.position)
-    field = nearby(field, boxes, radius, state.position, _NODES, _NEAR)
-    # A draw belongs to a heading, so that turning does not change it.
-    heading = jnp.round(state.yaw / jnp.float32(house.turn)).astype(jnp.int32)
 
     def ahead(turn: jax.Array) -> jax.Array:
         way = forward(state.yaw + turn.astype(jnp.float32) * jnp.float32(house.turn))
@@ -53,14 +65,122 @@ def walk(house: House, field: GoalField, state: HouseState, walked: jax.Array) -
         return jnp.where(stays, jnp.inf, left)
 
     left = jax.vmap(ahead)(turns)
-    bits = jax.lax.bitcast_convert_type(walked, jnp.uint32)
+    # A draw belongs to a heading, so that turning does not change it.
+    heading = jnp.round(state.yaw / jnp.float32(house.turn)).astype(jnp.int32)
+    bits = jax.lax.bitcast_convert_type(journey.walked, jnp.uint32)
     draw = jax.random.fold_in(jax.random.key(0), bits)
     luck = _LUCK * jax.random.uniform(draw, turns.shape, jnp.float32)
     stuck = jnp.min(left) > now - _GAIN
     left += jnp.where(stuck, luck[(heading + turns) % turns.shape[0]], 0)
     turn = turns[jnp.argmin(left + _TURN_COST * jnp.abs(turns).astype(jnp.float32))]
+    # Who leaves a corner must not go back to it.
+    detour = now - journey.nearest
+    searches = stuck | ((detour > _GAIN) & (detour < _DETOUR))
+    close = (arrived > 0) & (2 * arrived < house.step_size) & (now < _CAREFUL)
+    least = jnp.minimum(now, journey.nearest)
+    enough = jnp.where(close, arrived, jnp.maximum(least - _PROGRESS, arrived))
+    useful = jnp.where(close, arrived, jnp.maximum(least - _GAIN, arrived))
+
+    def look_ahead(carry: Any, known: Any) -> Any:
+        *known, useful = known
+        left, there = _search(house, *known)
+        return jnp.where(left <= useful, there, carry[0]), jnp.bool_(False)
+
+    known = field, boxes, state.position, state.yaw, enough, useful
+    carry = turn, (searches | close) & (now > arrived)
+    turn, _ = while_loop_for_few(lambda carry, _: carry[1], look_ahead, carry, known)
     names = ("rotate_left", "move_ahead", "rotate_right")
     return jnp.array([house.actions.index(name) for name in names], jnp.int32)[jnp.sign(turn) + 1]
+
+
+def _search(
+    house: House,
+    field: GoalField,
+    boxes: jax.Array,
+    position: jax.Array,
+    yaw: jax.Array,
+    enough: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Searches for a walk of few steps, without collisions, that leads near enough to a goal.
+
+    Args:
+      house: the dynamics.
+      field: of a few nodes, see `geodesic.nearby`.
+      boxes: float32 [N, 8], obstacles.
+      position: float32 [2], where to set out.
+      yaw: float32 scalar, degrees.
+      enough: float32 scalar, metres that may be left.
+
+    Returns:
+      The float32 metres that are left at the end of the walk, those of the best if none leads near
+      enough, and the int32 turns to the right that it begins with.
+    """
+    radius = house.body.radius
+    away, _ = clearance(boxes, position)
+    _, rows = jax.lax.top_k(-away, min(_BOXES, boxes.shape[0]))
+    boxes = boxes[rows]
+    turns = _turns(house)
+    moves = jnp.float32(house.step_size) * forward(yaw + turns * jnp.float32(house.turn))
+
+    def step(place: jax.Array, move: jax.Array) -> jax.Array:
+        share, _ = sweep(boxes, radius, place, move)
+        metres = jnp.min(ways(boxes, radius, place + move, field.nodes) + field.lengths)
+        return jnp.where(share < 1, jnp.inf, metres)
+
+    def go_on(carry: _Frontier) -> _Frontier:
+        left = jax.vmap(lambda place: jax.vmap(lambda move: step(place, move))(moves))(carry.places)
+        after = (carry.places[:, None] + moves).reshape(-1, 2)
+        firsts = jnp.where(carry.depth == 0, turns, carry.firsts[:, None]).reshape(-1)
+        cost = left.reshape(-1) + _TURN_COST * jnp.abs(firsts).astype(jnp.float32)
+        # The same place is come to in many ways: the best of each square is kept.
+        squares = jnp.round((after - position) / _SQUARE).astype(jnp.int32)
+        square = squares[:, 0] * 4096 + squares[:, 1]
+        numbers = jnp.arange(square.shape[0], dtype=jnp.int32)
+        square, cost, order = jax.lax.sort((square, cost, numbers), num_keys=2)
+        again = jnp.concatenate([jnp.zeros(1, bool), square[1:] == square[:-1]])
+        cost, kept = jax.lax.top_k(-jnp.where(again, jnp.inf, cost), _PLACES)
+        rows = order[kept]
+        # Where fewer are left, the best are repeated.
+        rows = jnp.where(cost > -jnp.inf, rows, rows[0])
+        best = left.reshape(-1)[rows[0]]
+        better = best < carry.left
+        return _Frontier(
+            carry.depth + 1,
+            after[rows],
+            firsts[rows],
+            jnp.where(better, best, carry.left),
+            jnp.where(better, firsts[rows[0]], carry.first),
+        )
+
+    begin = _Frontier(
+        jnp.int32(0),
+        jnp.broadcast_to(position, (_PLACES, 2)),
+        jnp.zeros(_PLACES, jnp.int32),
+        jnp.float32(jnp.inf),
+        jnp.int32(0),
+    )
+    end = jax.lax.while_loop(
+        lambda carry: (carry.depth < _DEPTH) & (carry.left > enough), go_on, begin
+    )
+    return end.left, end.first
+
+
+class _Frontier(NamedTuple):
+    """Where a search has got to.
+
+    Attributes:
+      depth: int32 scalar, in how many steps.
+      places: float32 [P, 2], to where.
+      firsts: int32 [P], turns that the walks there begin with.
+      left: float32 scalar, the least metres left of any place so far.
+      first: int32 scalar, turns that the walk there begins with.
+    """
+
+    depth: jax.Array
+    places: jax.Array
+    firsts: jax.Array
+    left: jax.Array
+    first: jax.Array
 
 
 def look(

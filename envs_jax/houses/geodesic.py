@@ -129,7 +129,7 @@ def goal_field(
     offsets = _length(goals - goals_free)
     if present is not None:
         offsets = jnp.where(present, offsets, jnp.inf)
-    reach = jax.vmap(lambda goal: _ways(obstacles, radius, goal, roadmap.nodes))(goals_free)
+    reach = jax.vmap(lambda goal: ways(obstacles, radius, goal, roadmap.nodes))(goals_free)
     first = jnp.min(reach + offsets[:, None], axis=0)
     first = jnp.where(roadmap.valid, first, jnp.inf)
 
@@ -155,11 +155,11 @@ def distance(
     Returns:
       The float32 scalar metres, and the int32 node that the way leads to first.
     """
-    ways = _ways(obstacles, radius, position, field.nodes) + field.lengths
     straight = _length(field.nodes - position) + field.lengths
-    ways = jnp.where(jnp.any(ways < jnp.inf), ways, straight)
-    node = jnp.argmin(ways)
-    return ways[node], node.astype(jnp.int32)
+    metres = ways(obstacles, radius, position, field.nodes) + field.lengths
+    metres = jnp.where(jnp.any(metres < jnp.inf), metres, straight)
+    node = jnp.argmin(metres)
+    return metres[node], node.astype(jnp.int32)
 
 
 def shortest(
@@ -170,7 +170,7 @@ def shortest(
     Returns:
       The float32 scalar metres, infinite if there is no way.
     """
-    return jnp.min(_ways(obstacles, radius, position, field.nodes) + field.lengths)
+    return jnp.min(ways(obstacles, radius, position, field.nodes) + field.lengths)
 
 
 def nearby(
@@ -178,27 +178,39 @@ def nearby(
     obstacles: jax.Array,
     radius: float,
     position: jax.Array,
-    size: int,
+    seen: int,
+    hidden: int,
     near: float,
-) -> GoalField:
-    """Returns a field of no more than `size` nodes for measuring from places near a plan.
+) -> tuple[GoalField, jax.Array]:
+    """Picks a few nodes for measuring ways from places near a plan.
 
     Args:
       field: of the goals.
       obstacles: float32 [N, 8].
       radius: of the body.
       position: float32 [2], a plan.
-      size: how many nodes to keep, those on the shortest ways.
-      near: metres from the plan within which nodes count that are not seen from it.
+      seen: how many nodes to keep of those seen from the plan, those on the shortest ways.
+      hidden: how many of the others, likewise, as if they were seen.
+      near: metres from the plan within which the others must be.
+
+    Returns:
+      The field of `seen + hidden` nodes, and the float32 scalar metres from the plan, as `distance`
+      has them.
     """
     straight = _length(field.nodes - position)
-    seen = _ways(obstacles, radius, position, field.nodes) < jnp.inf
-    kept = jnp.where(seen | (straight <= near), straight + field.lengths, jnp.inf)
-    _, chosen = jax.lax.top_k(-kept, min(size, kept.shape[0]))
-    lengths = jnp.where(kept < jnp.inf, field.lengths, jnp.inf)
+    visible = ways(obstacles, radius, position, field.nodes) < jnp.inf
+    lengths = straight + field.lengths
+    lost = ~jnp.any(visible & (lengths < jnp.inf))
     # Who sees nothing is led straight on, as by `distance`.
-    lengths = jnp.where(jnp.any(kept < jnp.inf), lengths, field.lengths)
-    return GoalField(field.nodes[chosen], lengths[chosen])
+    visible |= lost
+    groups = (visible, seen), (~visible & (straight <= near), hidden)
+    best, chosen = zip(
+        *(jax.lax.top_k(-jnp.where(group, lengths, jnp.inf), size) for group, size in groups),
+        strict=True,
+    )
+    rows = jnp.concatenate(chosen)
+    kept = jnp.where(jnp.concatenate(best) > -jnp.inf, field.lengths[rows], jnp.inf)
+    return GoalField(field.nodes[rows], kept), -best[0][0]
 
 
 def path(
@@ -261,7 +273,7 @@ def visible(obstacles: jax.Array, radii: jax.Array, start: jax.Array, end: jax.A
     return gap >= 0
 
 
-def _ways(obstacles: jax.Array, radius: float, start: jax.Array, nodes: jax.Array) -> jax.Array:
+def ways(obstacles: jax.Array, radius: float, start: jax.Array, nodes: jax.Array) -> jax.Array:
     """Returns the metres [M] from a plan to each node it sees, infinite for the others.
 
     Octagons that the plan is in are made smaller, until it is not.

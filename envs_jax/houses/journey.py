@@ -23,12 +23,14 @@ class Journey:
       start_distance: float32 scalar, geodesic metres at the start; infinite if there was no way.
       distance: float32 scalar, geodesic metres now.
       walked: float32 scalar, metres.
+      nearest: float32 scalar, the least of the distances so far.
     """
 
     field: GoalField
     start_distance: jax.Array
     distance: jax.Array
     walked: jax.Array
+    nearest: jax.Array
 
 
 def begin(field: GoalField, state: HouseState, body: Body) -> Journey:
@@ -42,14 +44,16 @@ def begin(field: GoalField, state: HouseState, body: Body) -> Journey:
     boxes = obstacles(state.scene.boxes, body)
     metres = distance(field, boxes, body.radius, state.position)[0]
     start = shortest(field, boxes, body.radius, state.position)
-    return Journey(field, start, metres, jnp.float32(0))
+    return Journey(field, start, metres, jnp.float32(0), metres)
 
 
 def advance(journey: Journey, body: Body, before: HouseState, after: HouseState) -> Journey:
     """Returns the journey after a step from `before` to `after`."""
     boxes = obstacles(after.scene.boxes, body)
     metres, _ = distance(journey.field, boxes, body.radius, after.position)
-    return replace(journey, distance=metres, walked=journey.walked + moved(before, after))
+    walked = journey.walked + moved(before, after)
+    nearest = jnp.minimum(journey.nearest, metres)
+    return replace(journey, distance=metres, walked=walked, nearest=nearest)
 
 
 def moved(before: HouseState, after: HouseState) -> jax.Array:

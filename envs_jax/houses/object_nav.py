@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
 
 from envs_jax.houses import journey as journeys
+from envs_jax.houses import lattice as lattices
 from envs_jax.houses import visibility
 from envs_jax.houses.collision import obstacles
 from envs_jax.houses.draws import first_true
@@ -15,6 +16,7 @@ from envs_jax.houses.environment import House, check_house
 from envs_jax.houses.expert import look, walk
 from envs_jax.houses.geodesic import GoalField
 from envs_jax.houses.journey import Journey
+from envs_jax.houses.lattice import Lattice
 from envs_jax.houses.scene import Scene
 from envs_jax.houses.state import HouseState
 from envs_jax.houses.visibility import ROBOTHOR_SIGHT, Sight
@@ -33,11 +35,13 @@ class ObjectNavState:
       category: int32 scalar, index into `categories.NAMES` of what to find.
       start: float32 [3], the plan and the yaw at which the agent set out.
       journey: how far the nearest view point is.
+      lattice: how shortest walks go, if the agent stays on a lattice.
     """
 
     category: jax.Array
     start: jax.Array
     journey: Journey
+    lattice: Lattice | None = None
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,8 @@ class ObjectNav(Task):
         of one (Habitat).
       radius: metres.
       view_points: G, at most how many places are goals.
+      places: how many steps on a lattice the greatest house is long; 0 if walks on lattices are not
+        to be searched, see `lattice`.
       step_penalty: the reward, a negative one, of each step.
       refusal_penalty: added for an action that was stopped or changed nothing.
       shaping: reward for each metre that a goal comes nearer.
@@ -70,6 +76,7 @@ class ObjectNav(Task):
     rule: str = "visible"
     radius: float = 0.1
     view_points: int = 64
+    places: int = 0
     step_penalty: float = -0.01
     refusal_penalty: float = 0.0
     shaping: float = 1.0
@@ -103,17 +110,39 @@ class ObjectNav(Task):
         chosen, present = first_true(good, min(self.view_points, good.shape[0]))
         return places[chosen], present
 
-    def start(self, field: GoalField, state: HouseState, category: jax.Array) -> ObjectNavState:
+    def survey(self, scene: Scene, category: jax.Array) -> Lattice | None:
+        """Finds the shortest walks to where an instance of a category is visible.
+
+        Args:
+          scene: as it stands.
+          category: int32 scalar, index into `categories.NAMES`.
+
+        Returns:
+          The walks from multiples of a step; None where the agent does not stay on them.
+        """
+        if self.places == 0 or self.rule != "visible" or not lattices.fits(self.house):
+            return None
+        wanted = (scene.category == category) & scene.present
+        return lattices.survey(self.house, self.sight, scene, wanted, self.places)
+
+    def start(
+        self,
+        field: GoalField,
+        state: HouseState,
+        category: jax.Array,
+        lattice: Lattice | None = None,
+    ) -> ObjectNavState:
         """Returns the first state of an episode.
 
         Args:
           field: how far `goals(scene, category)` are, from `geodesic.goal_field`.
           state: where the agent begins, from `house.start(scene, position, yaw, pitch)`.
           category: int32 scalar, index into `categories.NAMES`.
+          lattice: from `survey(scene, category)`.
         """
         journey = journeys.begin(field, state, self.house.body)
         start = jnp.concatenate([state.position, state.yaw[None]])
-        return ObjectNavState(jnp.asarray(category, jnp.int32), start, journey)
+        return ObjectNavState(jnp.asarray(category, jnp.int32), start, journey, lattice)
 
     def step(
         self,
@@ -125,7 +154,7 @@ class ObjectNav(Task):
         """Judges one step; see `Task.step`."""
         old = task_state.journey
         new = journeys.advance(old, self.house.body, before, after)
-        task_state = ObjectNavState(task_state.category, task_state.start, new)
+        task_state = replace(task_state, journey=new)
         ended = jnp.asarray(action, jnp.int32) == self.house.actions.index("end")
         success = ended & self._found(task_state, after)
         limit = journeys.moved(before, after)
@@ -151,7 +180,11 @@ class ObjectNav(Task):
         """Returns the next action of a short search of somebody who knows where things are."""
         del key
         journey = task_state.journey
-        action = walk(self.house, journey.field, state, journey.walked)
+        arrived = self._number("radius") - 1e-3 if self.rule == "view_point" else jnp.float32(0)
+        action = walk(self.house, journey, state, arrived)
+        if task_state.lattice is not None:
+            shortest, known = lattices.walk(self.house, task_state.lattice, state)
+            action = jnp.where(known, shortest, action)
         if self.rule == "visible":
             wanted = self._wanted(task_state, state)
             turned, seen = look(self.house, self.sight, wanted, state)

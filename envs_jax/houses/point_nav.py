@@ -103,7 +103,7 @@ class PointNav(Task):
         """Returns the first action of a short way to the goal, or "end" there."""
         del key
         journey = task_state.journey
-        action = walk(self.house, journey.field, state, journey.walked)
+        action = walk(self.house, journey, state, self._number("radius") - 1e-3)
         end = self.house.actions.index("end")
         action = jnp.where(self.is_near(task_state.journey), end, action)
         return ExpertAction(action.astype(jnp.int32), jnp.bool_(True))

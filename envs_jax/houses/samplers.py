@@ -12,11 +12,13 @@ import jax
 import jax.numpy as jnp
 
 from envs_jax.houses import categories
+from envs_jax.houses import lattice as lattices
 from envs_jax.houses.bank import CANDIDATES, Bank, Scenes, build_bank, free_places
 from envs_jax.houses.collision import obstacles
 from envs_jax.houses.draws import draw, first_true, pick
 from envs_jax.houses.environment import House, check_house
 from envs_jax.houses.geodesic import GoalField, Roadmap, goal_field, shortest
+from envs_jax.houses.lattice import Lattice
 from envs_jax.houses.object_nav import ObjectNav
 from envs_jax.houses.point_nav import PointNav
 from envs_jax.houses.scene import Scene
@@ -195,8 +197,10 @@ class ObjectNavSampler(TaskSampler):
         scene = jax.tree.map(lambda leaf: leaf[row], targets.bank.scenes)
         field = jax.tree.map(lambda leaf: leaf[row, chosen], targets.fields)
         blocked = obstacles(scene.boxes, self.task.house.body)
-        state = _begin(for_start, self.starts, self.task.house, scene, blocked, field)
-        task_state = self.task.start(field, state, self._targets[chosen])
+        category = self._targets[chosen]
+        lattice = self.task.survey(scene, category)
+        state = _begin(for_start, self.starts, self.task.house, scene, blocked, field, lattice)
+        task_state = self.task.start(field, state, category, lattice)
         return Episode(state, task_state, jnp.int32(self.horizon))
 
     @property
@@ -211,6 +215,7 @@ def _begin(
     scene: Scene,
     blocked: jax.Array,
     field: GoalField,
+    lattice: Lattice | None = None,
 ) -> HouseState:
     """Puts the agent down somewhere from where the way to the goal has the length it should."""
     place_draws, choice, heading = draws
@@ -220,6 +225,9 @@ def _begin(
     places = places[rows]
     metres = jax.vmap(lambda place: shortest(field, blocked, radius, place))(places)
     can = free & (metres < jnp.inf)
+    if lattice is not None:
+        step = house.step_size
+        can &= jax.vmap(lambda place: lattices.is_reachable(lattice, step, place))(places)
     # The goals of a field are its first nodes without any way left to go.
     goals = jnp.where(field.lengths[:, None] <= 0, field.nodes, jnp.inf)
     crow = jnp.sqrt(jnp.min(jnp.sum((places[:, None] - goals) ** 2, axis=-1), axis=1))

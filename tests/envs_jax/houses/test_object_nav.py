@@ -56,7 +56,7 @@ def test_point_goals_are_told_in_each_convention():
     field = GoalField(jnp.zeros((1, 2), jnp.float32), jnp.zeros(1, jnp.float32))
     zero = jnp.float32(0)
     goal, start = jnp.array([2, 1], jnp.float32), jnp.array([1, 0, 30], jnp.float32)
-    task_state = PointNavState(goal, start, Journey(field, zero, zero, zero))
+    task_state = PointNavState(goal, start, Journey(field, zero, zero, zero, zero))
     house = House(BODY, ("move_ahead", "rotate_left", "rotate_right", "end"))
     scene = make_scene(TABLE, KINDS[:2], ROOMS)
 

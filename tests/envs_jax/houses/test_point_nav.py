@@ -106,6 +106,6 @@ def test_without_a_way_there_is_no_success(play):
 
 def test_a_strict_radius_leaves_out_its_rim():
     none = GoalField(jnp.zeros((1, 2), jnp.float32), jnp.zeros(1, jnp.float32))
-    journey = Journey(none, jnp.float32(1), jnp.float32(0.2), jnp.float32(0))
+    journey = Journey(none, jnp.float32(1), jnp.float32(0.2), jnp.float32(0), jnp.float32(0.2))
     assert bool(TASK.is_near(journey))
     assert not bool(replace(TASK, strict=True).is_near(journey))
