@@ -94,8 +94,10 @@ def results_of(runs: Iterable[Path], commit: str) -> list[dict[str, Any]]:
 def _described(run: Path, config: dict[str, Any]) -> dict[str, Any]:
     from jaxact.logs import read_metrics
 
-    rows = [row for row in read_metrics(run) if "train/success" in row]
+    rows = [row for row in read_metrics(run) if "evaluation/success" not in row]
     stride = max(1, len(rows) // CURVE_POINTS)
+    # Who learns from demonstrations alone has no episodes of its own.
+    shown = [name for name in SHOWN if all(name in row for row in rows)]
     evaluations = [json.loads(p.read_text()) for p in sorted((run / "evaluation").glob("*.json"))]
     options = "".join(f" --set {text}" for text in config["overrides"])
     trained = int(rows[-1]["step"])
@@ -108,7 +110,7 @@ def _described(run: Path, config: dict[str, Any]) -> dict[str, Any]:
         "trained_steps": trained,
         "curve": {
             "step": [row["step"] for row in rows[::stride]],
-            **{name: [round(row[name], 5) for row in rows[::stride]] for name in SHOWN},
+            **{name: [round(row[name], 5) for row in rows[::stride]] for name in shown},
         },
         "evaluations": evaluations,
     }
