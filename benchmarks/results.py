@@ -117,14 +117,15 @@ def _described(run: Path, config: dict[str, Any]) -> dict[str, Any]:
 
 
 def _over_seeds(evaluations: list[dict[str, Any]]) -> dict[str, Any]:
-    """Returns the means over seeds of the last evaluations, with Student's 95 % intervals."""
+    """Returns the means over seeds of the last evaluations, with Student's 95 % intervals; of one
+    seed the interval over episodes.
+    """
     final: dict[str, Any] = {"step": evaluations[0]["step"]}
     for name in SHOWN:
         short = name.partition("/")[2]
         values = [evaluation[short]["mean"] for evaluation in evaluations]
-        final[short] = {"mean": statistics.fmean(values), "each": values}
-        if len(values) > 1:
-            final[short]["interval"] = mean_interval(values)
+        interval = evaluations[0][short]["interval"] if len(values) == 1 else mean_interval(values)
+        final[short] = {"mean": statistics.fmean(values), "each": values, "interval": interval}
     return final
 
 

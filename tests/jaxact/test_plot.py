@@ -339,11 +339,13 @@ def test_committed_results_are_drawn() -> None:
     plot = plot_runs(files, metrics=["evaluation/success+train/success"], statistic="mean")
     trained = [json.loads(file.read_text()) for file in files if "babyai" in file.name]
     finals = [final for final in plot.finals if final.metric == "evaluation/success"]
-    assert [(final.experiment, final.value, final.low, final.high) for final in finals] == [
-        (one["name"], one["final"]["success"]["mean"], *one["final"]["success"]["interval"])
-        for one in trained
-    ]
-    others = [file for file in files if file.name.startswith("env_throughput")]
+    assert [final.experiment for final in finals] == [one["name"] for one in trained]
+    for final, one in zip(finals, trained, strict=True):
+        success = one["final"]["success"]
+        expected = [success["mean"], *success["interval"]]
+        assert [final.value, final.low, final.high] == pytest.approx(expected, rel=1e-12)
+        assert final.seeds == len(one["seeds"])
+    others = [file for file in files if "babyai" not in file.name]
     assert plot.notes == tuple(f"{file} left out, as it has no curves" for file in others)
 
 
