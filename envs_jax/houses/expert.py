@@ -120,7 +120,9 @@ def _search(
     _, rows = jax.lax.top_k(-away, min(_BOXES, boxes.shape[0]))
     boxes = boxes[rows]
     turns = _turns(house)
-    moves = jnp.float32(house.step_size) * forward(yaw + turns * jnp.float32(house.turn))
+    moves = jnp.float32(house.step_size) * forward(
+        yaw + turns.astype(jnp.float32) * jnp.float32(house.turn)
+    )
 
     def step(place: jax.Array, move: jax.Array) -> jax.Array:
         share, _ = sweep(boxes, radius, place, move)
