@@ -161,16 +161,13 @@ def point_episodes(task, seeds, each, room):
 
 
 @pytest.mark.slow
-# In 1 of 48 episodes RoboTHOR's moves, which fail whole, do not lead out of a narrow corner.
-@pytest.mark.parametrize(
-    ("name", "success", "least"), [("robothor", 0.97, 0.96), ("habitat", 1, 0.97)]
-)
-def test_point_experts_arrive_where_there_is_a_little_room(name, success, least):
+@pytest.mark.parametrize("name", ["robothor", "habitat"])
+def test_point_experts_arrive_where_there_is_a_little_room(name):
     task = presets.point_nav(name)
     spl = follow(task, point_episodes(task, range(4), 12, room=0.08), 200)
     print(f"{name}: {len(spl)} episodes, success {np.mean(spl > 0):.4f}, SPL {spl.mean():.4f}")
-    assert np.mean(spl > 0) >= success
-    assert spl.mean() >= least
+    assert np.mean(spl > 0) == 1
+    assert spl.mean() >= 0.97
 
 
 def object_episodes(task, count):
