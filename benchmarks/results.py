@@ -1,9 +1,10 @@
 """Turns finished runs into `docs/results/<experiment>.json` and one figure of their curves.
 
 Run `python -m benchmarks.results RUN [RUN ...]`: the runs of an experiment, which differ in the
-seed, become a file with the commit, versions and, of each run, the command that makes it, the
-training curve and the held-out evaluations with their intervals; `docs/results/<figure>.png` and
-`.svg` show success against steps for all of them.
+seed, become a file with the commit, versions, the mean over seeds, the steps at which success was
+first at 97 and 99 %, and of each run the command that makes it, the training curve and the held-out
+evaluations with their intervals; `docs/results/<figure>.png` and `.svg` show success against steps
+for all of them.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from jaxact.statistics import mean_interval
 RESULTS = Path(__file__).resolve().parent.parent / "docs" / "results"
 CURVE_POINTS = 60
 SHOWN = ("train/success", "train/return", "train/length")
+# Shares of success of which it is told when an evaluation first had them.
+MILESTONES = (0.97, 0.99)
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ def main() -> None:
     for result in results_of(arguments.runs, arguments.commit):
         files.append(arguments.output / f"{result['name']}.json")
         files[-1].write_text(json.dumps(result, indent=1) + "\n")
-        print(files[-1])
+        print(files[-1], json.dumps({name: result[name] for name in ("final", "first_at")}))
     figure = plot_runs(files, metrics=("evaluation/success+train/success",))
     print(*figure.save(arguments.output / f"{arguments.figure}.png"))
 
@@ -85,6 +88,10 @@ def results_of(runs: Iterable[Path], commit: str) -> list[dict[str, Any]]:
                 "versions": json.loads((those[0][0] / "versions.json").read_text()),
                 "seeds": seeds,
                 "final": _over_seeds([run["evaluations"][-1] for run in described]),
+                "first_at": {
+                    str(share): [_first_at(run["evaluations"], share) for run in described]
+                    for share in MILESTONES
+                },
                 "runs": described,
             }
         )
@@ -114,6 +121,12 @@ def _described(run: Path, config: dict[str, Any]) -> dict[str, Any]:
         },
         "evaluations": evaluations,
     }
+
+
+def _first_at(evaluations: list[dict[str, Any]], share: float) -> int | None:
+    """Returns the steps at the first evaluation with such a share of success, None without one."""
+    steps = (e["step"] for e in evaluations if e["success"]["mean"] >= share)
+    return next(steps, None)
 
 
 def _over_seeds(evaluations: list[dict[str, Any]]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from envs_jax.houses import presets
-from envs_jax.houses.bank import GeneratedScenes, ImportedScenes, Scenes
+from envs_jax.houses.bank import GeneratedScenes, Scenes
 from envs_jax.houses.camera import Camera
 from envs_jax.houses.environment import House
 from envs_jax.houses.generator import APARTMENT, FLOOR, ROOM, Style
@@ -135,13 +135,10 @@ def navigation(
         return POMDP(to_point.house, to_point, points, {"point_goal": goal, **seen})
     to_object = presets.object_nav(platform)
     to_object = replace(to_object, house=_erring(to_object.house, numbers, noisy))
-    longest = max(STYLES[style].long_side[1], STYLES[style].short_side[1])
-    places = (
-        0
-        if isinstance(scenes, ImportedScenes)
-        else math.ceil(longest / to_object.house.step_size) + 1
-    )
-    to_object = replace(to_object, places=places)
+    if isinstance(scenes, GeneratedScenes):
+        longest = max(*scenes.style.long_side, *scenes.style.short_side)
+        places = math.ceil(longest / to_object.house.step_size) + 1
+        to_object = replace(to_object, places=places)
     seen = _sensors(numbers, to_object.house, observation, resolution, scenes)
     starts = Starts(least=0.0, pitch=numbers.object_pitch)
     objects = ObjectNavSampler(

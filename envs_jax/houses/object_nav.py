@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +21,7 @@ from envs_jax.houses.lattice import Lattice
 from envs_jax.houses.scene import Scene
 from envs_jax.houses.state import HouseState
 from envs_jax.houses.visibility import ROBOTHOR_SIGHT, Sight
+from jaxact.compaction import while_loop_for_few
 from jaxact.errors import unknown
 from jaxact.pomdp import POMDP, ExpertAction, Outcome, Task
 
@@ -179,19 +181,32 @@ class ObjectNav(Task):
     def expert(self, key: jax.Array, task_state: ObjectNavState, state: HouseState) -> ExpertAction:
         """Returns the next action of a short search of somebody who knows where things are."""
         del key
-        journey = task_state.journey
-        arrived = self._number("radius") - 1e-3 if self.rule == "view_point" else jnp.float32(0)
-        action = walk(self.house, journey, state, arrived)
-        if task_state.lattice is not None:
-            shortest, known = lattices.walk(self.house, task_state.lattice, state)
-            action = jnp.where(known, shortest, action)
-        if self.rule == "visible":
-            wanted = self._wanted(task_state, state)
-            turned, seen = look(self.house, self.sight, wanted, state)
-            action = jnp.where(seen, turned, action)
+        if self.rule == "view_point":
+            radius = self._number("radius") - 1e-3
+            action = walk(self.house, task_state.journey, state, radius)
+        else:
+            turned, seen = look(self.house, self.sight, self._wanted(task_state, state), state)
+            action = jnp.where(seen, turned, self._go_looking(task_state, state, ~seen))
         end = self.house.actions.index("end")
         action = jnp.where(self._found(task_state, state), end, action)
         return ExpertAction(action.astype(jnp.int32), jnp.bool_(True))
+
+    def _go_looking(
+        self, task_state: ObjectNavState, state: HouseState, asked: jax.Array
+    ) -> jax.Array:
+        """Returns the int32 next action on the way to where the target can be seen, if `asked`."""
+        known = task_state.journey, state, jnp.float32(0)
+        if task_state.lattice is None:
+            return walk(self.house, *known)
+        action, is_known = lattices.walk(self.house, task_state.lattice, state)
+
+        def search(_: jax.Array, known: Any) -> tuple[jax.Array, jax.Array]:
+            return walk(self.house, *known), jnp.bool_(False)
+
+        # Hardly anybody stands where no walk on the lattice is known.
+        carry = action, asked & ~is_known
+        action, _ = while_loop_for_few(lambda carry, _: carry[1], search, carry, known)
+        return action
 
     def _wanted(self, task_state: ObjectNavState, state: HouseState) -> jax.Array:
         return (state.scene.category == task_state.category) & state.scene.present

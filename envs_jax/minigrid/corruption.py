@@ -12,11 +12,17 @@ from envs_jax.minigrid import planner
 from envs_jax.minigrid.environment import FORWARD, LEFT, RIGHT
 from envs_jax.minigrid.guide import Guide, holds
 from envs_jax.minigrid.samplers.changed import ChangedEpisodes
+from envs_jax.minigrid.samplers.door_key import DoorKeySampler
+from envs_jax.minigrid.samplers.locked_room import LockedRoomSampler
+from envs_jax.minigrid.samplers.multi_room import MultiRoomSampler
 from envs_jax.minigrid.state import GridState
 from envs_jax.minigrid.tasks import GoalState, GoalTask
 from jaxact.errors import JaxactError
 from jaxact.pomdp import POMDP, Episode, ExpertAction, Outcome
 from jaxact.spaces import Discrete
+
+# In their worlds the ways to the goal change as doors open.
+_WITH_DOORS = (DoorKeySampler, LockedRoomSampler, MultiRoomSampler)
 
 
 @jax.tree_util.register_dataclass
@@ -106,11 +112,17 @@ def corrupt_expert(pomdp: POMDP, within: int) -> POMDP:
       within: how near, in actions; see `CorruptGoalTask`.
 
     Raises:
-      JaxactError: the world's task is another, its sampler learns, or `within` is negative.
+      JaxactError: the world's task is another, there are doors in it, its sampler learns, or
+        `within` is negative.
     """
     if type(pomdp.task) is not GoalTask or not isinstance(pomdp.action_space, Discrete):
         name = type(pomdp.task).__name__
         raise JaxactError(f"only a GoalTask's expert can be corrupted, not that of {name}")
+    if isinstance(pomdp.sampler, _WITH_DOORS):
+        raise JaxactError(
+            f"the worlds of {type(pomdp.sampler).__name__} have doors, but a corrupt expert plans "
+            "all ways as an episode begins; choose one without, such as a crossing"
+        )
     if within < 0:
         raise JaxactError(f"within must not be negative, got {within}")
     task = CorruptGoalTask(

@@ -49,15 +49,9 @@ def recur(
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
-def _scan(
-    cell: Cell,
-    weights: jax.Array,
-    bias: jax.Array,
-    carry: Carry,
-    inputs: jax.Array,
-    is_first: jax.Array,
-) -> tuple[Carry, jax.Array]:
-    return _forward(cell, weights, bias, carry, inputs, is_first)[0]
+def _scan(cell: Cell, *arguments: Any) -> Any:
+    """Returns the last carry and the outputs, of the arguments that `_forward` takes."""
+    return _forward(cell, *arguments)[0]
 
 
 def _forward(
@@ -68,6 +62,8 @@ def _forward(
     inputs: jax.Array,
     is_first: jax.Array,
 ) -> tuple[Any, Any]:
+    """Returns the last carry and the outputs, and what `_backward` needs."""
+
     def step(carry: Carry, now: tuple[jax.Array, jax.Array]) -> tuple[Carry, Any]:
         x, first = now
         kept = _forget(carry, first)

@@ -174,6 +174,9 @@ def test_what_cannot_be_corrupted_is_refused():
         corrupt_expert(crossing, -1)
     with pytest.raises(JaxactError, match="only a GoalTask's expert can be corrupted, not that of"):
         corrupt_expert(envs_jax.make("BabyAI-GoToLocal-v0"), 3)
+    for name in ("DoorKey-8x8", "LockedRoom", "MultiRoom-N2-S4"):
+        with pytest.raises(JaxactError, match="have doors, but a corrupt expert plans"):
+            corrupt_expert(envs_jax.make(f"MiniGrid-{name}-v0"), 3)
     learning = replace(crossing, sampler=PrioritizedLevelReplay(crossing.sampler))
     with pytest.raises(JaxactError, match="PrioritizedLevelReplay learns"):
         corrupt_expert(learning, 3)
