@@ -212,9 +212,11 @@ def free_places(
       Plans float32 [K, 2] and bool [K], at which of them the body fits.
     """
     sides = scene.rooms[:, 2:] - scene.rooms[:, :2]
-    sums = jnp.cumsum(sides[:, 0] * sides[:, 1])
-    rows = jnp.minimum(jnp.sum(sums <= draws[:, :1] * sums[-1], axis=1), len(sums) - 1)
-    room = scene.rooms[rows]
+    ends = jnp.cumsum(sides[:, 0] * sides[:, 1])
+    past = jnp.pad(ends[:-1] <= draws[:, :1] * ends[-1], ((0, 0), (1, 0)), constant_values=True)
+    last = ~jnp.pad(past[:, 1:], ((0, 0), (0, 1)))
+    # Not looked up by its row: a generator's rounds within an address take LLVM minutes.
+    room = jnp.sum(jnp.where((past & last)[:, :, None], scene.rooms, 0.0), axis=1)
     places = room[:, :2] + draws[:, 1:] * (room[:, 2:] - room[:, :2])
     if grid > 0:
         places = jnp.round(places / grid) * grid
