@@ -10,6 +10,7 @@ import pytest
 
 from envs_jax.houses import categories, validity
 from envs_jax.houses.importers import habitat, maps, procthor, robothor
+from envs_jax.houses.importers.episodes import NavigationEpisode
 from envs_jax.houses.state import Body
 from jaxact.errors import JaxactError
 
@@ -164,16 +165,31 @@ def test_procthor_stages_of_generation() -> None:
 
 
 def test_robothor_episodes_are_read_and_written(tmp_path: Path) -> None:
-    secret = robothor.RoboThorEpisode(
-        "a", "House_0", "Apple", (1.0, 0.9, 2.5), 30.0, 30.0, None, None
-    )
-    known = dataclasses.replace(
-        secret, id="b", path=((1.0, 0.0, 2.5), (1.0, 0.0, 4.5), (2.5, 0.0, 4.5)), path_length=3.5
-    )
+    secret = NavigationEpisode("a", "House_0", (1.0, 0.9, 2.5), 30.0, 30.0, "Apple")
+    corners = ((1.0, 0.0, 2.5), (1.0, 0.0, 4.5), (2.5, 0.0, 4.5))
+    known = dataclasses.replace(secret, id="b", path=corners, length=3.5, difficulty="easy")
     assert known.polyline_length == 3.5
+    point = dataclasses.replace(known, id="c", category="", goals=corners[-1:], pitch=0.0)
+    episodes = [secret, known, point]
     for name in ("episodes.json", "episodes.json.gz"):
-        robothor.write_episodes(tmp_path / name, [secret, known])
-        assert robothor.read_episodes(tmp_path / name) == [secret, known]
+        robothor.write_episodes(tmp_path / name, episodes)
+        assert robothor.read_episodes(tmp_path / name) == episodes
+    assert {path.name for path in tmp_path.iterdir()} == {"episodes.json", "episodes.json.gz"}
+    with pytest.raises(JaxactError, match="'c' in scene 'House_0' must have a category"):
+        robothor.write_episodes(tmp_path / name, [dataclasses.replace(point, goals=())])
+    with pytest.raises(JaxactError, match=r"cannot write .*missing"):
+        robothor.write_episodes(tmp_path / "missing" / name, episodes)
+
+
+def test_robothor_angles_in_full(tmp_path: Path) -> None:
+    """As in data sets of PointNav; the horizon may be left out."""
+    record = {"id": "a", "scene": "b", "initial_position": {"x": 0, "y": 1, "z": 2}}
+    record |= {"initial_orientation": {"x": 0, "y": 90, "z": 0}, "object_type": None}
+    record |= {"target_position": {"x": 3, "y": 0, "z": 4}}
+    path = tmp_path / "episodes.json"
+    path.write_text(json.dumps([record]))
+    (episode,) = robothor.read_episodes(path)
+    assert (episode.yaw, episode.pitch, episode.goals) == (90.0, 0.0, ((3.0, 0.0, 4.0),))
 
 
 def test_robothor_published_validation_paths() -> None:
@@ -181,11 +197,11 @@ def test_robothor_published_validation_paths() -> None:
     episodes = [episode for path in files for episode in robothor.read_episodes(path)]
     assert len(episodes) == 120 * len(files)
     for episode in episodes:
-        assert episode.path_length == pytest.approx(episode.polyline_length, abs=1e-9)
+        assert episode.length == pytest.approx(episode.polyline_length, abs=1e-9)
         assert (np.array(episode.position)[::2] % 0.25 == 0).all()
-        assert episode.horizon == 30
+        assert episode.pitch == 30
         assert episode.yaw % 30 == 0
-        assert episode.object_type in categories.ROBOTHOR_TARGETS
+        assert episode.category in categories.ROBOTHOR_TARGETS
 
 
 @pytest.mark.slow
@@ -206,7 +222,8 @@ def habitat_file(path: Path, **changes: object) -> Path:
     found = {"episode_id": "7", "scene_id": "hm3d/a/A.glb", "object_category": "bed", "goals": []}
     found |= {"start_position": [0.0, 0.0, 3.0], "start_rotation": [0.0, half, 0.0, half]}
     found |= {"info": {"geodesic_distance": 5.5}}
-    point = {**found, "object_category": None, "goals": [{"position": [0.0, 0.0, -4.0]}]}
+    point = {**found, "episode_id": 8, "object_category": None}
+    point |= {"goals": [{"position": [0.0, 0.0, -4.0]}]}
     data = {"episodes": [found, point], "goals_by_category": {"A.glb_bed": [goal]}}
     path.write_text(json.dumps({**data, **changes}))
     return path
@@ -218,19 +235,18 @@ def test_habitat_episodes(tmp_path: Path) -> None:
     assert found.position == (0.0, 0.0, -3.0)
     # A quarter to the left of −z there is −x, which is 270 degrees clockwise of +z here.
     assert found.yaw == pytest.approx(270)
-    assert found.category == "bed"
-    assert found.goals[0].position == (1.0, 0.5, 2.0)
-    assert found.goals[0].view_points == ((1.0, 0.0, 1.0),)
-    assert found.geodesic_distance == 5.5
+    assert found.category == "Bed"
+    assert found.goals == ((1.0, 0.0, 1.0),)
+    assert found.length == 5.5
     assert point.category == ""
-    assert point.goals == (habitat.HabitatGoal((0.0, 0.0, 4.0), "", ()),)
+    assert point.goals == ((0.0, 0.0, 4.0),)
+    assert set(habitat.CATEGORIES.values()) <= set(categories.NAMES)
     for yaw in (0.0, 30.0, 200.0, 359.0):
         assert habitat.yaw_of(habitat.rotation_of(yaw)) == pytest.approx(yaw)
     for changes, said in (
         ({"episodes": []}, "folder 'content'"),
         ({"goals_by_category": {}}, "looks for 'A.glb_bed'"),
-        ({"goals_by_category": []}, "looks for 'A.glb_bed'"),
-        ({"episodes": [{"scene_id": "a"}]}, "has no 'start_rotation'"),
+        ({"goals_by_category": [1]}, "must be an object"),
         ({"episodes": None}, "must be a list"),
     ):
         with pytest.raises(JaxactError, match=said):
