@@ -71,8 +71,6 @@ def read_assets(path: _Source) -> Assets:
         raise JaxactError(f"{path} must be an object of lists of assets by type")
     assets = {}
     for kind in database:
-        if kind not in categories.NAMES:
-            raise JaxactError(f"{path}: {unknown('object type', kind, categories.NAMES)}")
         for i, entry in enumerate(field(path, "the database", database, kind, list)):
             where = f"asset {i} of {kind}"
             name = field(path, where, entry, "assetId", str)
@@ -243,6 +241,8 @@ def _things(path: _Source, where: str, record: Any, assets: Assets) -> Iterator[
     asset = field(path, where, record, "assetId", str)
     if asset in assets:
         kind, size = assets[asset]
+        if kind not in categories.NAMES:
+            raise JaxactError(f"{path}: {where}: {unknown('object type', kind, categories.NAMES)}")
     else:
         kind = re.split(r"[|_]", name)[0]
         if kind not in SIZES:
