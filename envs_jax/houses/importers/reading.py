@@ -46,13 +46,14 @@ def read_array(path: str | Path) -> np.ndarray:
       JaxactError: it cannot be read, or is not (all of) such a file.
     """
     try:
-        array = np.load(path, allow_pickle=False)
+        # Opened here, so that it is closed whatever is in it.
+        with Path(path).open("rb") as file:
+            array = np.load(file, allow_pickle=False)
     except OSError as error:
         raise JaxactError(f"cannot read {path}: {error.strerror or error}") from None
-    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (ValueError, EOFError, MemoryError, zipfile.BadZipFile) as error:
         raise JaxactError(f"{path} is no NumPy array: {error}") from None
     if not isinstance(array, np.ndarray):
-        array.close()
         raise JaxactError(f"{path} must hold one NumPy array, not an archive of several")
     return array
 
@@ -77,7 +78,7 @@ def field(source: str | Path, where: str, record: Any, name: str, kind: type) ->
     value = record[name]
     if kind is float:
         return _number(source, f"{name!r} of {where}", value)
-    if not isinstance(value, kind):
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
         raise JaxactError(
             f"{source}: {name!r} of {where} must be {_KINDS.get(kind, kind.__name__)}, "
             f"not {value!r:.40}"
@@ -85,7 +86,13 @@ def field(source: str | Path, where: str, record: Any, name: str, kind: type) ->
     return value
 
 
-_KINDS = {list: "a list", dict: "an object", str: "a string", bool: "true or false"}
+_KINDS = {
+    list: "a list",
+    dict: "an object",
+    str: "a string",
+    bool: "true or false",
+    int: "a whole number",
+}
 
 
 def optional(

@@ -21,6 +21,7 @@ from envs_jax.houses.scene import PADDING, Scene
 from jaxact.errors import JaxactError, unknown
 
 FORMAT = "jaxact-scenes-1"
+_MOST_ROWS = 100_000
 _FLAGS = ("openable", "portable", "opened")
 
 
@@ -81,7 +82,11 @@ def _to_json(scene: Scene) -> dict[str, Any]:
 
 def _from_json(path: str | Path, where: str, record: Any) -> Scene:
     count = field(path, where, record, "rows", int)
-    boxes = np.tile(np.array(PADDING, np.float32), (max(count, 0), 1))
+    if not 0 < count <= _MOST_ROWS:
+        raise JaxactError(
+            f"{path}: 'rows' of {where} must be 1 … {_MOST_ROWS:,}, not {count!r:.20}"
+        )
+    boxes = np.tile(np.array(PADDING, np.float32), (count, 1))
     other_boxes, color = boxes.copy(), np.zeros((len(boxes), 3), np.float32)
     category = np.zeros(len(boxes), np.int32)
     flags = {name: np.zeros(len(boxes), bool) for name in _FLAGS}
