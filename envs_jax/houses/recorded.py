@@ -97,7 +97,7 @@ class RecordedSampler(TaskSampler):
     evaluation: RecordedSampler | None = None
     stored_lengths: bool = True
     horizon: int = 500
-    nodes: int = 256
+    nodes: int = 128
 
     def check(self, pomdp: POMDP) -> None:
         """Refuses other dynamics and eyes than the task's, and sensors that lack a target."""
@@ -199,7 +199,7 @@ def recorded_sampler(
     evaluation: RecordedSampler | None = None,
     stored_lengths: bool = True,
     horizon: int = 500,
-    nodes: int = 256,
+    nodes: int = 128,
 ) -> RecordedSampler:
     """Makes a sampler of exactly these episodes, in their order, and checks each of them.
 
@@ -211,7 +211,7 @@ def recorded_sampler(
       evaluation: the sampler of the episodes to evaluate on; None for the same.
       stored_lengths: see `RecordedSampler`.
       horizon: steps.
-      nodes: how many corners a roadmap has at most.
+      nodes: how many corners a roadmap has at most; scenes with more are refused.
 
     Raises:
       JaxactError: an episode cannot be played, for example because its start is not free or its
@@ -231,7 +231,7 @@ def find_problems(
     scenes: Mapping[str, Scene],
     episodes: Sequence[NavigationEpisode],
     *,
-    nodes: int = 256,
+    nodes: int = 128,
 ) -> dict[int, str]:
     """Says which episodes cannot be played, in a sentence each.
 
