@@ -20,7 +20,7 @@ class DemonstrationStorage(Storage):
     """Whole episodes recorded by `python -m jaxact.collect`, window after window.
 
     Each lane plays through one episode after the other, and the model's memory is carried from
-    window to window; no episode is seen twice before all have been seen. In its batches `expert`
+    window to window; no episode begins a second time before all have begun. In its batches `expert`
     is what was done, not valid where the recorded expert abstained.
 
     Attributes:
@@ -44,7 +44,7 @@ class DemonstrationStorage(Storage):
 
     def batch(self, state: PyTree, data: PyTree, axis_name: str | None) -> tuple[PyTree, Batch]:
         """Returns the next window of every lane."""
-        windows, cursor = next_windows(data, state["cursor"], self.length)
+        windows, cursor = next_windows(data, state["cursor"], self.length, axis_name)
         keys, draws = jnp.moveaxis(jax.vmap(jax.random.split)(state["key"]), 1, 0)
         unknown = jnp.full(windows.reward.shape, jnp.nan, jnp.float32)
         batch = Batch(
