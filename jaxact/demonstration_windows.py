@@ -4,8 +4,8 @@ There is an endless order of episodes, in which each epoch (as many places as th
 a fresh permutation of all of them. A lane whose episode has ended takes the next place that nobody
 has taken, lanes that do so at the same step in their order. So every episode has begun once before
 any begins a second time, however unequal their lengths and whether or not the number of lanes
-divides that of episodes. Which episode is at a place is computed from the place alone, and who takes
-which from all lanes' places, so both are the same on any number of devices.
+divides that of episodes. Which episode is at a place is computed from the place alone, and who
+takes which from where all lanes are, so both are the same on any number of devices.
 
 A lane goes on where the last window ended, in the middle of an episode too. A recurrent model's
 memory is carried from window to window as it is from rollout to rollout, and reset at `is_first`.
@@ -13,7 +13,7 @@ memory is carried from window to window as it is from rollout to rollout, and re
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +38,9 @@ class DemonstrationData:
       truncated: bool.
       final_observation: what was seen after the last step of each episode [N, ...]; None if that
         was not recorded.
+      reward_terms: the reward's named components, float32; none if they were not recorded.
+      policy: float32 [S, n], probabilities of the demonstrator's n discrete actions; None if they
+        were not recorded.
     """
 
     first_step: jax.Array
@@ -48,6 +51,8 @@ class DemonstrationData:
     terminated: jax.Array
     truncated: jax.Array
     final_observation: dict[str, jax.Array] | None = None
+    reward_terms: dict[str, jax.Array] = field(default_factory=dict)
+    policy: jax.Array | None = None
 
     @property
     def episodes(self) -> int:
@@ -84,8 +89,10 @@ class Windows:
       observation: named readings that the actions answered to.
       previous_action: the action before each, zeros at the first step of an episode.
       is_first: bool, true at the first step of an episode.
-      expert: what was done, and whether it is the demonstrator's own.
+      expert: what was done, whether it is the demonstrator's own, and the demonstrator's policy
+        where that was recorded.
       reward: float32.
+      reward_terms: its named components, as far as they were recorded.
       terminated: bool.
       truncated: bool.
       episode: int32, which of the data's episodes the step is of; where one was truncated,
@@ -97,6 +104,7 @@ class Windows:
     is_first: jax.Array
     expert: ExpertAction
     reward: jax.Array
+    reward_terms: dict[str, jax.Array]
     terminated: jax.Array
     truncated: jax.Array
     episode: jax.Array
@@ -163,16 +171,25 @@ def next_windows(
     # One row more than the others, for the action before the window.
     before = jnp.concatenate([jnp.maximum(step[:1] - 1, 0), step])
     action = jax.tree.map(lambda x: x[before], data.action)
-    observation, valid, reward, terminated, truncated = jax.tree.map(
+    observation, valid, policy, reward, reward_terms, terminated, truncated = jax.tree.map(
         lambda x: x[step],
-        (data.observation, data.valid, data.reward, data.terminated, data.truncated),
+        (
+            data.observation,
+            data.valid,
+            data.policy,
+            data.reward,
+            data.reward_terms,
+            data.terminated,
+            data.truncated,
+        ),
     )
     windows = Windows(
         observation=observation,
         previous_action=jax.tree.map(lambda x: _unless(is_first, x[:-1]), action),
         is_first=is_first,
-        expert=ExpertAction(jax.tree.map(lambda x: x[1:], action), valid),
+        expert=ExpertAction(jax.tree.map(lambda x: x[1:], action), valid, policy),
         reward=reward,
+        reward_terms=reward_terms,
         terminated=terminated,
         truncated=truncated,
         episode=episode,

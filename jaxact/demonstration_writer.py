@@ -20,6 +20,7 @@ from jaxact.demonstrations import (
     file_name,
     open_shard,
     read_manifest,
+    verify_shard,
 )
 from jaxact.errors import JaxactError
 from jaxact.runs import write_json
@@ -109,7 +110,8 @@ class DemonstrationWriter:
         return Demonstrations(self.path)
 
     def _go_on(self) -> None:
-        manifest, wanted = read_manifest(self.path), self._description.to_json()
+        manifest = read_manifest(self.path)
+        wanted = {"format": FORMAT, **self._description.to_json()}
         for name, value in wanted.items():
             if manifest[name] != value:
                 raise JaxactError(
@@ -121,6 +123,7 @@ class DemonstrationWriter:
         self.played, self.complete = manifest["played"], manifest["complete"]
         for entry in self._shards:
             open_shard(self.path, self._fields, entry)
+            verify_shard(self.path, entry)
         finished = {entry["name"] for entry in self._shards}
         for path in self.path.iterdir():
             if path.name.startswith((_SHARD, _PARTIAL)) and path.name not in finished:

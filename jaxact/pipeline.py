@@ -11,7 +11,7 @@ import optax
 
 from jaxact.errors import JaxactError, unknown
 from jaxact.frozen import FrozenMapping
-from jaxact.losses.base import Loss
+from jaxact.losses.base import Loss, Rewarding
 from jaxact.schedules import Schedule
 from jaxact.storages.base import Storage
 
@@ -52,7 +52,8 @@ class Stage:
         number or a schedule of the stage's steps; None never asks the expert for it.
       stop: ends the stage early.
       overrides: values for this stage of the pipeline's fields, by name.
-      storages: named storages with losses of their own, learnt from after each rollout.
+      storages: named storages with losses of their own, learnt from after each rollout. They take
+        in the rollouts of this stage, not those of stages that do not name them.
       rewards: weight of each named component of the reward in what is learnt (default 1); numbers
         or schedules of the stage's steps. Episodes' returns are reported as the task has them.
       exploration: ε, the probability of an action at random; for models that choose greedily, such
@@ -75,6 +76,15 @@ class Stage:
         for name in self.weights:
             if name not in self.losses:
                 raise unknown("loss in a stage's weights", name, self.losses)
+        for of, storage in self.storages.items():
+            for name, loss in storage.losses.items():
+                rewards = isinstance(self.losses.get(name), Rewarding)
+                if isinstance(loss, Rewarding) and not rewards:
+                    raise JaxactError(
+                        f"{type(loss).__name__} ({name!r}) rewards what is done in rollouts, but "
+                        f"is among the losses of storage {of!r} alone; give the stage's losses "
+                        "one of this name, too"
+                    )
         for name in ("losses", "weights", "overrides", "storages", "rewards"):
             object.__setattr__(self, name, FrozenMapping(getattr(self, name)))
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxact.distributions import explore
 from jaxact.experiment import Experiment
 from jaxact.gradients import GradientStep, Learnt, Metrics, stack_metrics
-from jaxact.losses.base import Anchored, Batch, Loss, Progress, Rewarding
+from jaxact.losses.base import Anchored, Batch, Loss, Progress, Rewarding, Unknown
 from jaxact.models.output import ActorCriticOutput
 from jaxact.pipeline import Stage, TrainingPipeline
 from jaxact.pomdp import PyTree
@@ -62,6 +62,7 @@ def update(
     metrics: Metrics = {}
     stopped, block = state.stopped[stage_index], state.block[stage_index]
     if stage.acts:
+        state = replace(state, storages=_resumed(pipeline, stage_index, state))
         on_policy = gradient_step(stage.losses, stage.weights, "losses")
         state, metrics, episodes = _rollout_update(
             experiment, stage, on_policy, state, progress, axis_name
@@ -70,8 +71,9 @@ def update(
     learnt, storages = state.learnt, dict(state.storages)
     for name, storage in stage.storages.items():
         step = gradient_step(storage.losses, storage.weights, f"losses/{name}")
+        weights = _reward_weights(stage, progress)
         learnt, storages[name], of_storage = _learn_from_storage(
-            step, storage, learnt, storages[name], data.get(name, ()), axis_name
+            step, storage, learnt, storages[name], data.get(name, ()), weights, axis_name
         )
         metrics = {**of_storage, **metrics}
     metrics["train/learning_rate"] = learning_rate
@@ -159,6 +161,20 @@ def _rollout_update(
     return replace(state, lanes=replace(lanes, key=keys)), metrics, episodes
 
 
+def _resumed(pipeline: TrainingPipeline, stage_index: int, state: TrainState) -> dict[str, PyTree]:
+    """Returns what storages hold; those that earlier stages filled, but not the last one that
+    acted, hear of it where the stage begins.
+    """
+    begins = state.updates[stage_index] == 0
+    earlier = [stage for stage in pipeline.stages[:stage_index] if stage.acts]
+    storages = dict(state.storages)
+    for name, storage in pipeline.stages[stage_index].storages.items():
+        had = [name in stage.storages for stage in earlier]
+        if any(had) and not had[-1]:
+            storages[name] = storage.interrupt(storages[name], begins)
+    return storages
+
+
 def _anchored(stage: Stage, state: TrainState, begins: jax.Array) -> dict[str, dict[str, PyTree]]:
     """Returns the losses' variables; where the stage begins, as the losses that look back say."""
     variables = dict(state.losses)
@@ -189,10 +205,19 @@ def _add_rewards(
     if not own and not stage.rewards:
         return learnt, trajectory, metrics
     terms = {**trajectory.step.reward_terms, **own}
-    weights = {n: value_at(w, progress.stage_steps) for n, w in stage.rewards.items()}
-    reward = sum((weights.get(n, 1.0) * x for n, x in terms.items()), start=jnp.float32(0))
+    reward = _weighed(terms, _reward_weights(stage, progress))
     step = replace(trajectory.step, reward=reward, reward_terms=terms)
     return replace(learnt, losses=variables), replace(trajectory, step=step), metrics
+
+
+def _reward_weights(stage: Stage, progress: Progress) -> Metrics:
+    """Returns the weights that a stage gives to components of the reward, by name."""
+    return {name: value_at(w, progress.stage_steps) for name, w in stage.rewards.items()}
+
+
+def _weighed(terms: Mapping[str, jax.Array], weights: Metrics) -> jax.Array:
+    """Returns the sum of components [T, B], each times its weight or one."""
+    return sum((weights.get(n, 1.0) * x for n, x in terms.items()), start=jnp.float32(0))
 
 
 def make_batch(
@@ -278,11 +303,13 @@ def _learn_from_storage(
     learnt: Learnt,
     held: PyTree,
     data: PyTree,
+    weights: Metrics,
     axis_name: str | None,
 ) -> tuple[Learnt, PyTree, Metrics]:
     """Gradient steps on a storage's batches; returns what is learnt, its state, mean metrics.
 
-    Until the storage is ready, nothing is learnt and all metrics are zero.
+    The reward's components are weighed, but for what was in a rollout and weighed there. Until the
+    storage is ready, nothing is learnt and all metrics are zero.
     """
     names: tuple[str, ...] = ()
     ready = storage.ready(held, axis_name)
@@ -291,6 +318,8 @@ def _learn_from_storage(
         nonlocal names
         learnt, held = carry
         held, batch = storage.batch(held, data, axis_name)
+        if weights and not storage.acts:
+            batch = replace(batch, reward=_weighed_reward(storage, batch, weights))
         after, metrics, memory, priority = gradient_step(learnt, batch)
         names = tuple(metrics)
         held = storage.carry_on(held, memory)
@@ -301,6 +330,16 @@ def _learn_from_storage(
 
     (learnt, held), values = jax.lax.scan(step, (learnt, held), None, storage.updates)
     return learnt, held, dict(zip(names, jnp.mean(values, axis=0), strict=True))
+
+
+def _weighed_reward(storage: Storage, batch: Batch, weights: Metrics) -> Any:
+    if batch.reward_terms:
+        return _weighed(batch.reward_terms, weights)
+    return Unknown(
+        f"a loss asks for the reward that a {type(storage).__name__} has without its components, "
+        f"but the stage weighs them ({', '.join(weights)}); record the demonstrations anew, or "
+        "leave out the stage's rewards"
+    )
 
 
 def _minibatch_lanes(keys: jax.Array, minibatches: int) -> jax.Array:
