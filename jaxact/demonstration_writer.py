@@ -113,10 +113,16 @@ class DemonstrationWriter:
         manifest = read_manifest(self.path)
         wanted = {"format": FORMAT, **self._description.to_json()}
         for name, value in wanted.items():
-            if manifest[name] != value:
+            found = manifest[name]
+            if found != value:
+                if isinstance(value, dict):
+                    others = {key for key in found | value if found.get(key) != value.get(key)}
+                    found, value = (
+                        {key: x for key, x in of.items() if key in others} for of in (found, value)
+                    )
                 raise JaxactError(
                     f"{self.path} holds other demonstrations: its {name.replace('_', ' ')} is "
-                    f"{manifest[name]}, but {value} was asked for; choose another directory"
+                    f"{found}, but {value} was asked for; choose another directory"
                 )
         self._shards = manifest["shards"]
         self.episodes, self.steps = manifest["episodes"], manifest["steps"]
