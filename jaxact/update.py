@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxact.distributions import explore
+from jaxact.errors import JaxactError
 from jaxact.experiment import Experiment
 from jaxact.gradients import GradientStep, Learnt, Metrics, stack_metrics
 from jaxact.losses.base import Anchored, Batch, Loss, Progress, Rewarding, Unknown
@@ -333,13 +334,21 @@ def _learn_from_storage(
 
 
 def _weighed_reward(storage: Storage, batch: Batch, weights: Metrics) -> Any:
+    """Returns the reward as the stage weighs it.
+
+    Raises:
+      JaxactError: its components are not known, and a loss needs it.
+    """
     if batch.reward_terms:
         return _weighed(batch.reward_terms, weights)
-    return Unknown(
-        f"a loss asks for the reward that a {type(storage).__name__} has without its components, "
-        f"but the stage weighs them ({', '.join(weights)}); record the demonstrations anew, or "
-        "leave out the stage's rewards"
+    why = (
+        f"a {type(storage).__name__} has the reward without its components, and the stage weighs "
+        f"these ({', '.join(weights)}); record the demonstrations anew, or leave out the weights"
     )
+    for name, loss in storage.losses.items():
+        if "reward" in loss.needs:
+            raise JaxactError(f"{type(loss).__name__} ({name!r}) needs the reward, but {why}")
+    return Unknown(f"a loss asks for the reward, but {why}")
 
 
 def _minibatch_lanes(keys: jax.Array, minibatches: int) -> jax.Array:

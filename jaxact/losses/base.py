@@ -177,7 +177,8 @@ class Loss(ABC):
     Attributes:
       needs_expert: whether the expert must be asked at every step.
       needs_rollout: whether it means something only on what the policy itself has just done.
-      needs: names of fields of `Batch` that it reads and that not all storages keep: log_prob.
+      needs: names of fields of `Batch` that it reads and that not all storages know: log_prob,
+        reward.
     """
 
     needs_expert: ClassVar[bool] = False

@@ -32,7 +32,7 @@ class VTrace(Loss):
       clip: the greatest ratio of probabilities.
     """
 
-    needs: ClassVar[frozenset[str]] = frozenset({"log_prob"})
+    needs: ClassVar[frozenset[str]] = frozenset({"log_prob", "reward"})
 
     value: float = 0.5
     entropy: float | Schedule = 0.01

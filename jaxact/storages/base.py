@@ -32,10 +32,10 @@ class Storage(ABC):
       updates: gradient steps after each rollout, each on a new batch.
       lanes: sequences side by side in a batch, over all devices.
       length: steps of each.
-      keeps: names of fields of `Batch` that its batches have and those of others have not.
+      keeps: names of fields of `Batch` that its batches have, of those that not all have.
     """
 
-    keeps: ClassVar[frozenset[str]] = frozenset()
+    keeps: ClassVar[frozenset[str]] = frozenset({"reward"})
 
     losses: Mapping[str, Loss]
     weights: Mapping[str, float | Schedule] = field(default_factory=dict)

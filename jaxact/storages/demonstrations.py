@@ -29,7 +29,7 @@ class DemonstrationStorage(Storage):
       path: the directory of the recording.
     """
 
-    keeps: ClassVar[frozenset[str]] = frozenset({"expert"})
+    keeps: ClassVar[frozenset[str]] = frozenset({"reward", "expert"})
 
     path: str
 

@@ -82,7 +82,7 @@ class Replay(Storage):
       start_after: steps, over all lanes, to be taken before learning begins.
     """
 
-    keeps: ClassVar[frozenset[str]] = frozenset({"log_prob"})
+    keeps: ClassVar[frozenset[str]] = frozenset({"reward", "log_prob"})
 
     capacity: int
     burn_in: int = 0

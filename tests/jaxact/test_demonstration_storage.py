@@ -1,6 +1,7 @@
 """Training from recorded demonstrations, alone and beside rollouts."""
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -37,6 +38,8 @@ def path(tmp_path_factory):
 @dataclass(frozen=True)
 class Rewarded(Loss):
     """Tells what it sees of the reward."""
+
+    needs: ClassVar[frozenset[str]] = frozenset({"reward"})
 
     def __call__(self, output, batch, progress):
         return jnp.mean(output.value), {"reward": batch.mean(batch.reward)}
@@ -124,5 +127,5 @@ def test_stages_weigh_the_components_of_the_reward(path):
     np.testing.assert_array_equal(seen * 64 % 5, 0)
     assert (seen > 0.5).all()
     bare = {"d": replace(data, reward_terms={})}
-    with pytest.raises(JaxactError, match=r"without its components.*weighs them \(success, step\)"):
+    with pytest.raises(JaxactError, match=r"Rewarded .* needs the reward, .* \(success, step\)"):
         jax.eval_shape(run, make_key(0), {}, bare)
