@@ -20,11 +20,12 @@ from urllib.parse import quote
 import jax
 import numpy as np
 
+from jaxact.demonstration_spaces import dict_from_json, space_from_json, space_to_json
 from jaxact.demonstration_windows import DemonstrationData
 from jaxact.errors import JaxactError, unknown
 from jaxact.overrides import fingerprint
 from jaxact.pomdp import POMDP, PyTree
-from jaxact.spaces import Box, Dict, Discrete, Space, Tuple
+from jaxact.spaces import Dict, Discrete, Space
 
 FORMAT = 2
 # Without components of the reward and policies of experts.
@@ -160,7 +161,7 @@ class Demonstrations:
             actor=manifest["actor"],
             seed=manifest["seed"],
             action_space=space_from_json(manifest["action_space"]),
-            observation_space=_dict_from_json(manifest["observation_space"]),
+            observation_space=dict_from_json(manifest["observation_space"]),
             final_observations=manifest["final_observations"],
             reward_terms=tuple(manifest["reward_terms"]),
             expert_policy=manifest["expert_policy"],
@@ -388,52 +389,6 @@ def verify_shard(path: Path, entry: Mapping[str, Any]) -> None:
         file = path / entry["name"] / name
         if _checksum(file) != expected:
             raise JaxactError(f"{file} was altered: its checksum is not that in {MANIFEST}")
-
-
-def space_to_json(space: Space) -> dict[str, Any]:
-    """Describes a space in JSON's types.
-
-    Raises:
-      JaxactError: the format knows no such space.
-    """
-    match space:
-        case Discrete(n):
-            return {"type": "Discrete", "n": n}
-        case Box(low, high, shape, dtype):
-            # As texts, for JSON has no infinities.
-            bounds = {"low": str(float(low)), "high": str(float(high))}
-            return {"type": "Box", **bounds, "shape": list(shape), "dtype": str(np.dtype(dtype))}
-        case Tuple(parts):
-            return {"type": "Tuple", "spaces": [space_to_json(part) for part in parts]}
-        case Dict(named):
-            return {"type": "Dict", "spaces": {n: space_to_json(x) for n, x in named.items()}}
-    raise JaxactError(f"demonstrations cannot be recorded with a space like {space}")
-
-
-def space_from_json(described: Mapping[str, Any]) -> Space:
-    """Returns the space that `space_to_json` described.
-
-    Raises:
-      JaxactError: it describes none.
-    """
-    try:
-        match described["type"]:
-            case "Discrete":
-                return Discrete(int(described["n"]))
-            case "Box":
-                low, high = float(described["low"]), float(described["high"])
-                return Box(low, high, tuple(described["shape"]), described["dtype"])
-            case "Tuple":
-                return Tuple(tuple(space_from_json(part) for part in described["spaces"]))
-            case "Dict":
-                return _dict_from_json(described)
-    except (KeyError, TypeError, ValueError):
-        pass
-    raise JaxactError(f"{MANIFEST} describes no space with {json.dumps(described)}")
-
-
-def _dict_from_json(described: Mapping[str, Any]) -> Dict:
-    return Dict({name: space_from_json(part) for name, part in described["spaces"].items()})
 
 
 def _checksum(path: Path) -> int:

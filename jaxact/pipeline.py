@@ -7,12 +7,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import optax
 
 from jaxact.errors import JaxactError, unknown
 from jaxact.frozen import FrozenMapping
 from jaxact.losses.base import Loss, Rewarding
-from jaxact.schedules import Schedule
+from jaxact.schedules import Schedule, value_at
 from jaxact.storages.base import Storage
 
 
@@ -99,6 +101,13 @@ class Stage:
         return self.teacher_forcing is not None or any(
             loss.needs_expert for loss in self.losses.values()
         )
+
+    def weighed_reward(self, terms: Mapping[str, jax.Array], steps: jax.Array) -> jax.Array:
+        """Returns the sum of a reward's named components [T, B], weighed as `rewards` says after so
+        many steps of the stage.
+        """
+        weights = {name: value_at(weight, steps) for name, weight in self.rewards.items()}
+        return sum((weights.get(n, 1.0) * x for n, x in terms.items()), start=jnp.float32(0))
 
 
 @dataclass(frozen=True)

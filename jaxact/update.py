@@ -10,17 +10,16 @@ import jax
 import jax.numpy as jnp
 
 from jaxact.distributions import explore
-from jaxact.errors import JaxactError
 from jaxact.experiment import Experiment
 from jaxact.gradients import GradientStep, Learnt, Metrics, stack_metrics
-from jaxact.losses.base import Anchored, Batch, Loss, Progress, Rewarding, Unknown
+from jaxact.losses.base import Anchored, Batch, Loss, Progress, Rewarding
 from jaxact.models.output import ActorCriticOutput
 from jaxact.pipeline import Stage, TrainingPipeline
 from jaxact.pomdp import PyTree
 from jaxact.returns import episode_means, generalized_advantages
 from jaxact.rollout import Trajectory, next_values, rollout
 from jaxact.schedules import Schedule, value_at
-from jaxact.storages.base import Storage
+from jaxact.storage_update import learn_from_storage, resumed
 from jaxact.train_state import TrainState, optimizer_for
 
 
@@ -63,7 +62,7 @@ def update(
     metrics: Metrics = {}
     stopped, block = state.stopped[stage_index], state.block[stage_index]
     if stage.acts:
-        state = replace(state, storages=_resumed(pipeline, stage_index, state))
+        state = replace(state, storages=resumed(pipeline, stage_index, state))
         on_policy = gradient_step(stage.losses, stage.weights, "losses")
         state, metrics, episodes = _rollout_update(
             experiment, stage, on_policy, state, progress, axis_name
@@ -72,9 +71,8 @@ def update(
     learnt, storages = state.learnt, dict(state.storages)
     for name, storage in stage.storages.items():
         step = gradient_step(storage.losses, storage.weights, f"losses/{name}")
-        weights = _reward_weights(stage, progress)
-        learnt, storages[name], of_storage = _learn_from_storage(
-            step, storage, learnt, storages[name], data.get(name, ()), weights, axis_name
+        learnt, storages[name], of_storage = learn_from_storage(
+            step, stage, storage, learnt, storages[name], data.get(name, ()), axis_name
         )
         metrics = {**of_storage, **metrics}
     metrics["train/learning_rate"] = learning_rate
@@ -162,20 +160,6 @@ def _rollout_update(
     return replace(state, lanes=replace(lanes, key=keys)), metrics, episodes
 
 
-def _resumed(pipeline: TrainingPipeline, stage_index: int, state: TrainState) -> dict[str, PyTree]:
-    """Returns what storages hold; those that earlier stages filled, but not the last one that
-    acted, hear of it where the stage begins.
-    """
-    begins = state.updates[stage_index] == 0
-    earlier = [stage for stage in pipeline.stages[:stage_index] if stage.acts]
-    storages = dict(state.storages)
-    for name, storage in pipeline.stages[stage_index].storages.items():
-        had = [name in stage.storages for stage in earlier]
-        if any(had) and not had[-1]:
-            storages[name] = storage.interrupt(storages[name], begins)
-    return storages
-
-
 def _anchored(stage: Stage, state: TrainState, begins: jax.Array) -> dict[str, dict[str, PyTree]]:
     """Returns the losses' variables; where the stage begins, as the losses that look back say."""
     variables = dict(state.losses)
@@ -206,19 +190,9 @@ def _add_rewards(
     if not own and not stage.rewards:
         return learnt, trajectory, metrics
     terms = {**trajectory.step.reward_terms, **own}
-    reward = _weighed(terms, _reward_weights(stage, progress))
+    reward = stage.weighed_reward(terms, progress.stage_steps)
     step = replace(trajectory.step, reward=reward, reward_terms=terms)
     return replace(learnt, losses=variables), replace(trajectory, step=step), metrics
-
-
-def _reward_weights(stage: Stage, progress: Progress) -> Metrics:
-    """Returns the weights that a stage gives to components of the reward, by name."""
-    return {name: value_at(w, progress.stage_steps) for name, w in stage.rewards.items()}
-
-
-def _weighed(terms: Mapping[str, jax.Array], weights: Metrics) -> jax.Array:
-    """Returns the sum of components [T, B], each times its weight or one."""
-    return sum((weights.get(n, 1.0) * x for n, x in terms.items()), start=jnp.float32(0))
 
 
 def make_batch(
@@ -296,59 +270,6 @@ def _learn_from_rollout(
 
     (learnt, keys), values = jax.lax.scan(epoch, (learnt, batch.key), None, settings.epochs)
     return learnt, keys, dict(zip(names, jnp.mean(values, axis=(0, 1)), strict=True))
-
-
-def _learn_from_storage(
-    gradient_step: GradientStep,
-    storage: Storage,
-    learnt: Learnt,
-    held: PyTree,
-    data: PyTree,
-    weights: Metrics,
-    axis_name: str | None,
-) -> tuple[Learnt, PyTree, Metrics]:
-    """Gradient steps on a storage's batches; returns what is learnt, its state, mean metrics.
-
-    The reward's components are weighed, but for what was in a rollout and weighed there. Until the
-    storage is ready, nothing is learnt and all metrics are zero.
-    """
-    names: tuple[str, ...] = ()
-    ready = storage.ready(held, axis_name)
-
-    def step(carry: tuple[Learnt, PyTree], _: None) -> tuple[tuple[Learnt, PyTree], jax.Array]:
-        nonlocal names
-        learnt, held = carry
-        held, batch = storage.batch(held, data, axis_name)
-        if weights and not storage.acts:
-            batch = replace(batch, reward=_weighed_reward(storage, batch, weights))
-        after, metrics, memory, priority = gradient_step(learnt, batch)
-        names = tuple(metrics)
-        held = storage.carry_on(held, memory)
-        if priority is not None:
-            held = storage.reprioritize(held, priority)
-        learnt = jax.tree.map(lambda new, old: jnp.where(ready, new, old), after, learnt)
-        return (learnt, held), jnp.where(ready, stack_metrics(metrics), 0.0)
-
-    (learnt, held), values = jax.lax.scan(step, (learnt, held), None, storage.updates)
-    return learnt, held, dict(zip(names, jnp.mean(values, axis=0), strict=True))
-
-
-def _weighed_reward(storage: Storage, batch: Batch, weights: Metrics) -> Any:
-    """Returns the reward as the stage weighs it.
-
-    Raises:
-      JaxactError: its components are not known, and a loss needs it.
-    """
-    if batch.reward_terms:
-        return _weighed(batch.reward_terms, weights)
-    why = (
-        f"a {type(storage).__name__} has the reward without its components, and the stage weighs "
-        f"these ({', '.join(weights)}); record the demonstrations anew, or leave out the weights"
-    )
-    for name, loss in storage.losses.items():
-        if "reward" in loss.needs:
-            raise JaxactError(f"{type(loss).__name__} ({name!r}) needs the reward, but {why}")
-    return Unknown(f"a loss asks for the reward, but {why}")
 
 
 def _minibatch_lanes(keys: jax.Array, minibatches: int) -> jax.Array:

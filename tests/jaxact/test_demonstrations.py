@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from jaxact import JaxactError
+from jaxact.demonstration_spaces import space_from_json, space_to_json
 from jaxact.demonstration_writer import DemonstrationWriter
 from jaxact.demonstrations import (
     MANIFEST,
     Demonstrations,
     Description,
-    space_from_json,
-    space_to_json,
     world_parts,
 )
 from jaxact.spaces import Box, Dict, Discrete, Tuple
