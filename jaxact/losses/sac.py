@@ -63,6 +63,8 @@ class SAC(Loss):
       target: how the critics' averages follow.
     """
 
+    needs: ClassVar[frozenset[str]] = frozenset({"reward"})
+
     critic: Critic
     discount: float = 0.99
     temperature: float = 0.1
