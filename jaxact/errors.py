@@ -21,3 +21,19 @@ def unknown(kind: str, given: str, valid: Iterable[str]) -> JaxactError:
     nearest = f"the nearest is {close[0]!r}" if close else "there is no valid choice"
     shown = ", ".join(names[:12]) + (f", and {len(names) - 12} more" if len(names) > 12 else "")
     return JaxactError(f"unknown {kind} {given!r}; {nearest} (valid: {shown})")
+
+
+def check_at_least(least: int, what: str, **numbers: int) -> None:
+    """Refuses numbers that are too small.
+
+    Args:
+      least: the smallest that will do.
+      what: whose they are.
+      **numbers: by name.
+
+    Raises:
+      JaxactError: one is smaller.
+    """
+    for name, number in numbers.items():
+        if number < least:
+            raise JaxactError(f"{name} of {what} must be at least {least}, got {number}")

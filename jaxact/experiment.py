@@ -58,8 +58,7 @@ class Experiment:
                 )
             for name, storage in stage.storages.items():
                 self._check_storage(f"{where}: storage {name!r}", name, storage, devices)
-            if stage.rewards:
-                self._check_rewards(where, stage)
+            self._check_rewards(where, stage)
             if stage.needs_expert and not self.pomdp.has_expert:
                 raise JaxactError(
                     f"{where} imitates or forces an expert, but "
@@ -89,10 +88,18 @@ class Experiment:
             )
 
     def _check_rewards(self, where: str, stage: Stage) -> None:
+        own = [name for name, loss in stage.losses.items() if isinstance(loss, Rewarding)]
+        if not own and not stage.rewards:
+            return
         state, _ = jax.eval_shape(self.pomdp.reset, jax.random.key(0))
         action = self.pomdp.action_space.structure
         _, step = jax.eval_shape(self.pomdp.step, jax.random.key(0), state, action)
-        own = [name for name, loss in stage.losses.items() if isinstance(loss, Rewarding)]
+        for name in own:
+            if name in step.reward_terms:
+                raise JaxactError(
+                    f"{where}: the loss {name!r} rewards under its own name, which is that of one "
+                    "of the task's components; give it another"
+                )
         for name in stage.rewards:
             if name not in {*step.reward_terms, *own}:
                 raise unknown(f"reward component in {where}", name, [*step.reward_terms, *own])

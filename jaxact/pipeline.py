@@ -75,6 +75,17 @@ class Stage:
     def __post_init__(self) -> None:
         if not self.losses and not self.storages:
             raise JaxactError("a stage needs at least one loss, for example {'ppo': PPO()}")
+        for name, loss in self.losses.items():
+            if not isinstance(loss, Loss):
+                kind = loss.__name__ if isinstance(loss, type) else type(loss).__name__
+                hint = f"; write {kind}(...)" if isinstance(loss, type) else ""
+                raise JaxactError(f"loss {name!r} of a stage is no loss but {loss!r}{hint}")
+        for name in ("teacher_forcing", "stop", "exploration"):
+            if not self.acts and getattr(self, name) is not None:
+                raise JaxactError(
+                    f"{name} is about rollouts, and a stage that learns from "
+                    f"{', '.join(map(repr, self.storages))} alone has none: leave it out"
+                )
         for name in self.weights:
             if name not in self.losses:
                 raise unknown("loss in a stage's weights", name, self.losses)

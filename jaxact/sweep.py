@@ -82,8 +82,11 @@ def sweep(
         if name not in fields:
             raise unknown("sweep option", name, fields)
     paths = {n: Path(options[n]) for n in ("output", "resume") if options.get(n) is not None}
-    seeds = {"seeds": tuple(options["seeds"])} if "seeds" in options else {}
-    settings = SweepOptions(**{**options, **paths, **seeds})
+    seeds = options.get("seeds", ())
+    if isinstance(seeds, int):
+        raise JaxactError(f"seeds must be several numbers, such as ({seeds},), got {seeds}")
+    given = {"seeds": tuple(seeds)} if "seeds" in options else {}
+    settings = SweepOptions(**{**options, **paths, **given})
     return Sweep(experiment, SearchSpace.of(space), settings).run()
 
 

@@ -186,7 +186,7 @@ def _add_rewards(
     for name, loss in stage.losses.items():
         if isinstance(loss, Rewarding):
             own[name], variables[name] = loss.reward(variables[name], trajectory, axis_name)
-    metrics = {f"train/reward/{name}": _global_mean(x, axis_name) for name, x in own.items()}
+    metrics = {f"train/step_reward/{name}": _global_mean(x, axis_name) for name, x in own.items()}
     if not own and not stage.rewards:
         return learnt, trajectory, metrics
     terms = {**trajectory.step.reward_terms, **own}

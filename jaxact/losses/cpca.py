@@ -11,6 +11,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
+from jaxact.errors import check_at_least
 from jaxact.losses.base import Batch, Loss, Progress
 from jaxact.losses.windows import goes_on, later, named_features, uniform
 from jaxact.models.actor_critic import flatten_action
@@ -41,6 +42,9 @@ class _ActionConditional(Loss):
     belief: str = "belief"
     hidden: int = 32
     action_features: int = 4
+
+    def __post_init__(self) -> None:
+        check_at_least(1, type(self).__name__, steps=self.steps)
 
     @property
     @abstractmethod

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from jaxact.errors import JaxactError
+from jaxact.errors import JaxactError, check_at_least
 from jaxact.losses.base import PRIORITY, TARGET_MODEL, Batch, Loss, Progress
 from jaxact.losses.target import Target
 from jaxact.models.output import ActorCriticOutput
@@ -53,6 +53,9 @@ class DQN(Loss):
     huber: float = 1.0
     target: Target = field(default_factory=lambda: Target(every=100))
     priority_mix: float = 0.9
+
+    def __post_init__(self) -> None:
+        check_at_least(1, "DQN", n_step=self.n_step)
 
     def init(
         self, key: jax.Array, output: ActorCriticOutput, observation: PyTree, action: PyTree

@@ -72,9 +72,10 @@ class GroupedImitation(Loss):
 
     def __post_init__(self) -> None:
         listed = [action for group in self.groups for action in group]
-        if len(set(listed)) < len(listed) or min(listed, default=0) < 0:
+        if len(set(listed)) < len(listed) or min(listed, default=0) < 0 or () in self.groups:
             raise JaxactError(
-                f"groups of actions must be disjoint, and of numbers; got {self.groups}"
+                f"groups of actions must be disjoint, and each of one or more numbers from 0; "
+                f"got {self.groups}"
             )
 
     def __call__(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from jaxact.errors import check_at_least
 from jaxact.pomdp import PyTree
 
 
@@ -24,6 +25,9 @@ class Target:
 
     rate: float = 1.0
     every: int = 1
+
+    def __post_init__(self) -> None:
+        check_at_least(1, "Target", every=self.every)
 
     def follow(self, copy: PyTree, new: PyTree, steps: jax.Array) -> PyTree:
         """Returns the copy after gradient step number `steps`, int32 from 1."""

@@ -9,6 +9,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
+from jaxact.errors import check_at_least
 from jaxact.losses.base import Batch, Loss, Progress
 from jaxact.losses.windows import at_last, first_and_last, named_features, uniform
 from jaxact.models.output import ActorCriticOutput
@@ -39,6 +40,9 @@ class TemporalDistance(Loss):
     pairs: int = 8
     longer_than: int = 5
     belief: str = "belief"
+
+    def __post_init__(self) -> None:
+        check_at_least(1, "TemporalDistance", pairs=self.pairs)
 
     def init(
         self, key: jax.Array, output: ActorCriticOutput, observation: PyTree, action: PyTree

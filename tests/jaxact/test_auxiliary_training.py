@@ -140,7 +140,7 @@ def assert_fall(metrics, ratios):
 
 def test_what_is_learnt_falls(trained):
     ratios = {"losses/inverse_dynamics/cross_entropy": 0.5, "losses/novelty/error": 0.5}
-    assert_fall(trained[2], ratios | {"train/reward/novelty": 0.5})
+    assert_fall(trained[2], ratios | {"train/step_reward/novelty": 0.5})
 
 
 @pytest.mark.slow
@@ -152,8 +152,8 @@ def test_what_is_learnt_falls_beside_all_others():
         "losses/curiosity/inverse": 0.5,
         "losses/curiosity/forward": 0.5,
         "losses/novelty/error": 0.5,
-        "train/reward/curiosity": 0.5,
-        "train/reward/novelty": 0.5,
+        "train/step_reward/curiosity": 0.5,
+        "train/step_reward/novelty": 0.5,
     }
     assert_fall(run(experiment(everything=True))[2], falls)
 

@@ -122,7 +122,7 @@ def test_variables_are_trained_and_kept(trained):
 
 def test_their_rewards_are_logged_and_others_weighted(trained):
     _, metrics = trained
-    of_first_action = np.asarray(metrics["train/reward/novelty"])[:3]
+    of_first_action = np.asarray(metrics["train/step_reward/novelty"])[:3]
     assert np.all((of_first_action > 0) & (of_first_action < 1))
     # What is reported of episodes is the task's own.
     assert np.asarray(metrics["episodes/reward/step"])[:3].sum() < 0
@@ -142,7 +142,7 @@ def test_rewards_change_what_is_learnt():
     losses = {"a2c": A2C(), "novelty": Novelty(size=5.0)}
     only = Stage(losses, steps=20 * UPDATE, rewards={"success": 0.0, "step": 0.0})
     state, metrics = jax.jit(make_train(experiment(stages=(only,))))(make_key(0))
-    assert np.asarray(metrics["train/reward/novelty"])[-1] > 4.0
+    assert np.asarray(metrics["train/step_reward/novelty"])[-1] > 4.0
     assert_same(state.updates, jnp.array([20], jnp.int32))
 
 
