@@ -48,7 +48,7 @@ class Advisor(Loss):
         self, output: ActorCriticOutput, batch: Batch, progress: Progress
     ) -> tuple[jax.Array, dict[str, jax.Array]]:
         """Returns the loss and its parts: those of imitation and of reinforcement as they stand
-        unweighted (policy, value, entropy, …), and weight, the mean w.
+        unweighted (policy, value, entropy, …), and imitation_weight, the mean w.
         """
         imitation, parts, weight = imitate(
             output, batch, value_at(self.alpha, progress.stage_steps), self.bound
@@ -84,7 +84,9 @@ class AdvisorImitation(Loss):
     def __call__(
         self, output: ActorCriticOutput, batch: Batch, progress: Progress
     ) -> tuple[jax.Array, dict[str, jax.Array]]:
-        """Returns the loss, with cross_entropy, auxiliary_cross_entropy and weight (mean w)."""
+        """Returns the loss, with cross_entropy, auxiliary_cross_entropy and imitation_weight, the
+        mean w.
+        """
         alpha = value_at(self.alpha, progress.stage_steps)
         imitation, parts, _ = imitate(output, batch, alpha, self.bound)
         return imitation, parts
@@ -107,7 +109,7 @@ def imitate(
     parts = {
         "cross_entropy": -batch.mean(main, where=expert.valid),
         "auxiliary_cross_entropy": -batch.mean(auxiliary, where=expert.valid),
-        "weight": batch.mean(weight),
+        "imitation_weight": batch.mean(weight),
     }
     loss = parts["auxiliary_cross_entropy"] - batch.mean(weight * main)
     return loss, parts, weight

@@ -273,7 +273,7 @@ def test_advisor_without_advice_is_reinforcement_and_with_alpha_zero_imitation_a
     arguments = [jnp.asarray(x[name], jnp.float32) for name in ("logits", "new_value")]
     advisor, metrics = loss_of(Advisor(reinforcement=A2C()), batch_of(x))(*arguments)
     assert float(advisor) == pytest.approx(float(loss_of(A2C(), batch_of(x))(*arguments)[0]))
-    assert float(metrics["weight"]) == 0.0
+    assert float(metrics["imitation_weight"]) == 0.0
     x["valid"] = np.ones((T, B), bool)
     everywhere = Advisor(reinforcement=A2C(value=0.0), alpha=0.0)
     gradient = jax.grad(lambda logits: loss_of(everywhere, batch_of(x))(logits, arguments[1])[0])
