@@ -15,7 +15,7 @@ from jaxact.caching import cached_by_identity
 from jaxact.compaction import anywhere
 from jaxact.policy import Policy
 from jaxact.pomdp import POMDP, PyTree, State
-from jaxact.rollout import select
+from jaxact.rollout import mean_of_agents, select
 from jaxact.statistics import confidence_interval, mean_interval
 from jaxact.train_state import make_key
 
@@ -32,9 +32,10 @@ class Evaluation:
 
     Attributes:
       success: bool.
-      episode_return: float32, sum of rewards.
+      episode_return: float32, sum of rewards; of several agents the mean.
       length: int32, steps.
-      metrics: named float32 task metrics at the episode's end, and components of the return.
+      metrics: named float32 task metrics at the episode's end, and components of the return; the
+        return of each of several agents.
       kinds: bool by name, of which of the sampler's kinds the episode was.
     """
 
@@ -167,6 +168,7 @@ def _player(pomdp: POMDP, actor: Actor) -> Player:
         _, shape = jax.eval_shape(jax.vmap(pomdp.step), step_keys, state, action)
         zeros = jnp.zeros(lanes, jnp.float32)
         names = [f"task/{n}" for n in shape.metrics] + [f"reward/{n}" for n in shape.reward_terms]
+        names += list(_agent_rewards(shape.reward))
         first = _Play(
             state=state,
             observation=observation,
@@ -186,14 +188,17 @@ def _player(pomdp: POMDP, actor: Actor) -> Player:
             state, step = jax.vmap(pomdp.step)(world_keys, play.state, chosen.action)
             metrics = {f"task/{n}": x for n, x in step.metrics.items()}
             for name, reward in step.reward_terms.items():
-                metrics[f"reward/{name}"] = play.metrics[f"reward/{name}"] + reward
+                total = play.metrics[f"reward/{name}"]
+                metrics[f"reward/{name}"] = total + mean_of_agents(reward, 1)
+            for name, reward in _agent_rewards(step.reward).items():
+                metrics[name] = play.metrics[name] + reward
             after = _Play(
                 state=state,
                 observation=step.observation,
                 memory=memory,
                 done=step.finished,
                 success=step.success,
-                episode_return=play.episode_return + step.reward,
+                episode_return=play.episode_return + mean_of_agents(step.reward, 1),
                 length=state.steps,
                 metrics=metrics,
                 kinds=play.kinds,
@@ -203,6 +208,12 @@ def _player(pomdp: POMDP, actor: Actor) -> Player:
         return jax.lax.while_loop(lambda play: anywhere(~jnp.all(play.done)), advance, first)
 
     return play_episodes
+
+
+def _agent_rewards(reward: Any) -> dict[str, Any]:
+    """Takes rewards [B, A] apart by what their sums are logged as; there are none in [B]."""
+    agents = range(reward.shape[1] if reward.ndim > 1 else 0)
+    return {f"agents/{i}/return": reward[:, i] if isinstance(reward, jax.Array) else None for i in agents}
 
 
 def _evaluate(
