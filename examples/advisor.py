@@ -10,11 +10,11 @@ recorded ones as well:
 python -m jaxact.collect Advisor-PoisonedDoors-v0 --episodes 10000 --output \
     demonstrations/poisoned_doors
 
-The study gives failed crossings of lava again, until 1000 steps were spent on them. This is left
-out here; `dataclasses.replace(pomdp, sampler=RepeatFailed(pomdp.sampler, min_steps=1000.0))` is
-the world with it.
+As in the study, crossings of lava that were failed are given again, until 1000 steps were spent on
+them, and the network is AllenAct's: no layer between the cells' embeddings and the memory.
 """
 
+import dataclasses
 from collections.abc import Mapping
 
 import optax
@@ -22,15 +22,25 @@ import optax
 import envs_jax
 from jaxact import Experiment, Stage, TrainingPipeline
 from jaxact.losses import PPO, Advisor, AdvisorImitation, Imitation
-from jaxact.models import LSTM, ActorCritic, Concatenated, InstructedGrid, Vector
+from jaxact.models import LSTM, ActorCritic, Concatenated, ProjectedGrid, Vector
+from jaxact.samplers import RepeatFailed
 from jaxact.schedules import Linear, Piecewise
 from jaxact.search_space import Range, choice, log_uniform, uniform
 from jaxact.storages import DemonstrationStorage
 
-# World, encoder, and steps as published.
+_lava = envs_jax.make("Advisor-LavaCrossingCorruptExpertS15N7-v0")
+_lava = dataclasses.replace(_lava, sampler=RepeatFailed(_lava.sampler, size=500))
+# Unseen, empty, wall, lava and goal, as MiniGrid encodes them.
+_CELLS = ((0, 0, 0), (1, 0, 0), (2, 5, 0), (9, 0, 0), (8, 1, 0))
+# World, encoder, memory, and steps as published.
 WORLDS = {
-    "lava_crossing": ("Advisor-LavaCrossingCorruptExpertS15N7-v0", InstructedGrid(128), 1e6),
-    "poisoned_doors": ("Advisor-PoisonedDoors-v0", Concatenated({"stage": Vector((128,))}), 3e5),
+    "lava_crossing": (_lava, ProjectedGrid(4 * 128, _CELLS), LSTM(128, projects=False), 1e6),
+    "poisoned_doors": (
+        envs_jax.make("Advisor-PoisonedDoors-v0"),
+        Concatenated({"stage": Vector((128,))}),
+        LSTM(128),
+        3e5,
+    ),
 }
 
 
@@ -77,7 +87,7 @@ def search_space(name: str) -> dict[str | tuple[str, ...], Range]:
     [0.1, 0.9], and α one of 4, 8, 16 and 32.
     """
     world = next(world for world in WORLDS if name.startswith(world))
-    method, steps = name.removeprefix(f"{world}_"), WORLDS[world][2]
+    method, steps = name.removeprefix(f"{world}_"), WORLDS[world][3]
     stage = "pipeline.stages.0"
     space: dict[str | tuple[str, ...], Range] = {
         "pipeline.learning_rate.start": log_uniform(1e-4, 0.5)
@@ -102,11 +112,10 @@ def search_space(name: str) -> dict[str | tuple[str, ...], Range]:
 
 def _experiments() -> dict[str, Experiment]:
     found = {}
-    for world, (name, encoder, steps) in WORLDS.items():
-        pomdp = envs_jax.make(name)
+    for world, (pomdp, encoder, memory, steps) in WORLDS.items():
         for method, stage in _stages(world, steps).items():
             model = ActorCritic(
-                pomdp.action_space, encoder, LSTM(128), auxiliary_actor=method.startswith("advisor")
+                pomdp.action_space, encoder, memory, auxiliary_actor=method.startswith("advisor")
             )
             pipeline = TrainingPipeline(
                 (stage,),

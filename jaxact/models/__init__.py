@@ -20,6 +20,7 @@ from jaxact.models.memory import GRU as GRU
 from jaxact.models.memory import LSTM as LSTM
 from jaxact.models.memory import NoMemory as NoMemory
 from jaxact.models.output import ActorCriticOutput as ActorCriticOutput
+from jaxact.models.projected_grid import ProjectedGrid as ProjectedGrid
 from jaxact.models.q_network import QNetwork as QNetwork
 from jaxact.models.resnet import ResNet as ResNet
 
@@ -42,6 +43,7 @@ __all__ = [
     "InstructedGrid",
     "MultipleBeliefs",
     "NoMemory",
+    "ProjectedGrid",
     "QNetwork",
     "ResNet",
     "Vector",

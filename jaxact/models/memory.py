@@ -147,21 +147,24 @@ class LSTM(nn.Module):
 
     Attributes:
       size: number of units.
+      projects: whether inputs are projected to the four gates; if not, the inputs are already
+        what the gates add up, [..., 4 · size].
     """
 
     size: int
+    projects: bool = True
 
     @nn.compact
     def __call__(
         self, inputs: jax.Array, memory: tuple[jax.Array, jax.Array], is_first: jax.Array
     ) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
         """Returns outputs [T, B, size] (or [B, size]) and the memory after them."""
-        projected = nn.Dense(4 * self.size, name="input")(inputs)
+        projected = nn.Dense(4 * self.size, name="input")(inputs) if self.projects else inputs
         recurrent = self.param(
             "recurrent", nn.initializers.orthogonal(), (self.size, 4 * self.size), jnp.float32
         )
 
-        bias = jnp.zeros(4 * self.size, jnp.float32)  # the projection has one
+        bias = jnp.zeros(4 * self.size, jnp.float32)  # the inputs have one
         (c, h), outputs = recur(_lstm_cell, recurrent, bias, memory, projected, is_first)
         return outputs, (c, h)
 

@@ -1,5 +1,6 @@
 """Models: sequences are steps in a row, gates are the papers', shapes follow the leading axes."""
 
+import chex
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
@@ -20,6 +21,7 @@ from jaxact.models import (
     Image,
     InstructedGrid,
     NoMemory,
+    ProjectedGrid,
     ResNet,
     Vector,
     WordsGRU,
@@ -369,3 +371,29 @@ def test_the_actor_critic_acts_and_learns_on_the_same_numbers(memory, sequence):
         logits = together.distribution.logits[t]
         np.testing.assert_allclose(output.distribution.logits, logits, atol=1e-5)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), carried, last)
+
+
+def test_a_projected_grid_is_the_projection_of_its_embeddings():
+    kinds = ((0, 0, 0), (1, 0, 0), (2, 5, 0), (9, 0, 0), (8, 1, 0))
+    model = ProjectedGrid(12, kinds)
+    which = jax.random.randint(jax.random.key(0), (3, 4, 7, 7), 0, len(kinds))
+    image = jnp.asarray(kinds, jnp.uint8)[which]
+    params = model.init(jax.random.key(1), {"image": image})
+    own = params["params"]
+    parts = [np.asarray(own[f"code_{i}"])[np.asarray(image[..., i])] for i in range(3)]
+    flat = np.concatenate(parts, axis=-1).reshape(3, 4, -1)
+    expected = flat @ np.asarray(own["kernel"]) + np.asarray(own["bias"])
+    np.testing.assert_allclose(model.apply(params, {"image": image}), expected, atol=1e-4)
+
+
+def test_an_lstm_may_be_given_what_its_gates_add_up():
+    """With the projection outside it is the same function."""
+    inputs = jax.random.normal(jax.random.key(0), (5, 3, 6))
+    first = jnp.zeros((5, 3), bool).at[2, 1].set(True)
+    whole, bare = LSTM(4), LSTM(4, projects=False)
+    params = whole.init(jax.random.key(1), inputs, whole.initial(3), first)["params"]
+    outputs, memory = whole.apply({"params": params}, inputs, whole.initial(3), first)
+    projection = params["input"]
+    gates = inputs @ projection["kernel"] + projection["bias"]
+    rest = {"params": {"recurrent": params["recurrent"]}}
+    chex.assert_trees_all_close((outputs, memory), bare.apply(rest, gates, bare.initial(3), first))
