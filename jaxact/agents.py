@@ -75,14 +75,16 @@ class MixedRewards(Task):
 
     def expert(self, key: jax.Array, task_state: PyTree, state: PyTree) -> ExpertAction:
         """That of the task."""
-        return self.task.expert(key, task_state, state)  # type: ignore[attr-defined,no-any-return]
+        return self.task.expert(key, task_state, state)  # type: ignore[attr-defined]
 
 
 def as_lanes(tree: PyTree, lead: int) -> PyTree:
-    """Makes lanes of agents: [..., B, A, ...] with `lead` axes up to B becomes [..., B · A, ...]."""
+    """Makes lanes of agents: [..., B, A, ...], B the last of `lead` axes, to [..., B · A, ...]."""
 
     def merge(x: jax.Array) -> jax.Array:
-        return x.reshape(*x.shape[: lead - 1], x.shape[lead - 1] * x.shape[lead], *x.shape[lead + 1 :])
+        return x.reshape(
+            *x.shape[: lead - 1], x.shape[lead - 1] * x.shape[lead], *x.shape[lead + 1 :]
+        )
 
     return jax.tree.map(merge, tree)
 

@@ -213,7 +213,10 @@ def _player(pomdp: POMDP, actor: Actor) -> Player:
 def _agent_rewards(reward: Any) -> dict[str, Any]:
     """Takes rewards [B, A] apart by what their sums are logged as; there are none in [B]."""
     agents = range(reward.shape[1] if reward.ndim > 1 else 0)
-    return {f"agents/{i}/return": reward[:, i] if isinstance(reward, jax.Array) else None for i in agents}
+    return {
+        f"agents/{i}/return": reward[:, i] if isinstance(reward, jax.Array) else None
+        for i in agents
+    }
 
 
 def _evaluate(

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxact.agents import as_agents, as_lanes
-from jaxact.errors import JaxactError, unknown
+from jaxact.errors import unknown
 from jaxact.models.actor_critic import flatten_action
 from jaxact.models.heads import ActorHead
 from jaxact.models.memory import GRU
