@@ -78,6 +78,9 @@ class Arguments:
     """Of `examples/advisor.py`; by default those that the results lack."""
     draws: int = BEST_OF
     """Of each method; at least ten."""
+    chunk: int | None = None
+    """Draws trained side by side; by default as many as fit in memory. On a CPU a draw for each
+    core is the fastest here: weights stay in its cache."""
     sweeps: Path = Path("sweeps")
     """Directory for the sweeps."""
     output: Path = RESULTS
@@ -115,7 +118,11 @@ def study(arguments: Arguments) -> None:
         name = f"{arguments.world}_{method}"
         space = search_space(name)
         found = jaxact.sweep(
-            experiments[name], space, draws=arguments.draws, output=arguments.sweeps
+            experiments[name],
+            space,
+            draws=arguments.draws,
+            chunk=arguments.chunk,
+            output=arguments.sweeps,
         )
         methods = _read(path) | {
             method: {

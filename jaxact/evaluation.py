@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -14,7 +15,7 @@ from jaxact.actors import Actor, expert_actor, policy_actor
 from jaxact.caching import cached_by_identity
 from jaxact.compaction import anywhere
 from jaxact.policy import Policy
-from jaxact.pomdp import POMDP, PyTree, State
+from jaxact.pomdp import POMDP, Listed, PyTree, State
 from jaxact.rollout import mean_of_agents, select
 from jaxact.statistics import confidence_interval, mean_interval
 from jaxact.train_state import make_key
@@ -78,10 +79,11 @@ def evaluate_policy(
 ) -> Evaluation:
     """Plays a policy on `episodes` held-out episodes.
 
-    The same seed gives the same episodes to every policy.
+    The same seed gives the same episodes to every policy. Of a list of episodes (`pomdp.Listed`)
+    the first are played, each once and in order, whatever the seed, and no more than there are.
     """
     player = _compiled_policy_player(pomdp, policy.model, greedy)
-    return _evaluate(player, policy.params, episodes, seed, MAX_LANES)
+    return _evaluate(player, policy.params, *held_out_lanes(pomdp, seed, episodes), MAX_LANES)
 
 
 def evaluate_expert(pomdp: POMDP, episodes: int = 1000, *, seed: int = 0) -> Evaluation:
@@ -90,15 +92,17 @@ def evaluate_expert(pomdp: POMDP, episodes: int = 1000, *, seed: int = 0) -> Eva
     Raises:
       JaxactError: the task has no expert.
     """
-    return _evaluate(_expert_player(pomdp), (), episodes, seed, MAX_LANES)
+    player = _expert_player(pomdp)
+    return _evaluate(player, (), *held_out_lanes(pomdp, seed, episodes), MAX_LANES)
 
 
 def evaluate_policies(
-    player: Player, params: PyTree, episodes: int = 1000, *, seed: int = 0
+    pomdp: POMDP, player: Player, params: PyTree, episodes: int = 1000, *, seed: int = 0
 ) -> list[Evaluation]:
     """Plays several policies of one model on the same held-out episodes, side by side.
 
     Args:
+      pomdp: the world.
       player: `policy_player(...)` under `vmap` over its first argument, and compiled.
       params: of N policies, leading axis [N].
       episodes: how many held-out episodes each of them plays.
@@ -109,7 +113,7 @@ def evaluate_policies(
     """
     policies = jax.tree.leaves(params)[0].shape[0]
     lanes = max(1, min(MAX_LANES, MAX_LANES_OF_SEVERAL // policies))
-    joined = _evaluate(player, params, episodes, seed, lanes)
+    joined = _evaluate(player, params, *held_out_lanes(pomdp, seed, episodes), lanes)
     parts = {f.name: getattr(joined, f.name) for f in fields(Evaluation)}
     return [Evaluation(**jax.tree.map(lambda x, i=i: x[i], parts)) for i in range(policies)]
 
@@ -122,6 +126,35 @@ def held_out_keys(seed: int, episodes: int) -> tuple[jax.Array, jax.Array]:
     keys = jax.random.split(jax.random.fold_in(make_key(seed), HELD_OUT), episodes)
     reset_keys, step_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
     return reset_keys, step_keys
+
+
+def held_out_lanes(pomdp: POMDP, seed: int, episodes: int) -> tuple[jax.Array, jax.Array]:
+    """Returns what held-out episodes begin from, see `begin_held_out`, and their steps' keys.
+
+    Returns:
+      PRNG keys [N], or int32 [N] where held-out episodes are listed; and PRNG keys [N].
+    """
+    sampler = pomdp.sampler.held_out
+    if isinstance(sampler, Listed):
+        episodes = min(episodes, sampler.count)
+    reset_keys, step_keys = held_out_keys(seed, episodes)
+    if isinstance(sampler, Listed):
+        return jnp.arange(episodes, dtype=jnp.int32), step_keys
+    return reset_keys, step_keys
+
+
+def begin_held_out(pomdp: POMDP, beginning: jax.Array) -> tuple[State, dict[str, jax.Array]]:
+    """Returns the first state and observation of a held-out episode.
+
+    Args:
+      pomdp: the world.
+      beginning: a PRNG key or, where held-out episodes are listed, an int32 index.
+    """
+    pomdp = replace(pomdp, sampler=pomdp.sampler.held_out)
+    if not isinstance(pomdp.sampler, Listed):
+        return pomdp.reset(beginning)
+    state = pomdp.begin(pomdp.sampler.listed(beginning, pomdp.sampler.init(make_key(0))))
+    return state, pomdp.observe(state)
 
 
 @jax.tree_util.register_dataclass
@@ -144,7 +177,10 @@ Player = Callable[[PyTree, jax.Array, jax.Array], _Play]
 
 
 def policy_player(pomdp: POMDP, model: Any, greedy: bool) -> Player:
-    """Makes (parameters, reset keys [B], step keys [B]) -> finished episodes, to be compiled."""
+    """Makes (parameters, beginnings [B], step keys [B]) -> finished episodes, to be compiled.
+
+    Beginnings and keys are those of `held_out_lanes`.
+    """
     return _player(pomdp, policy_actor(pomdp, model, greedy))
 
 
@@ -159,16 +195,16 @@ def _expert_player(pomdp: POMDP) -> Player:
 
 
 def _player(pomdp: POMDP, actor: Actor) -> Player:
-    pomdp = replace(pomdp, sampler=pomdp.sampler.held_out)
+    held_out, agents = pomdp.sampler.held_out, pomdp.num_agents
 
-    def play_episodes(params: PyTree, reset_keys: jax.Array, step_keys: jax.Array) -> _Play:
-        lanes = reset_keys.shape[0]
-        state, observation = jax.vmap(pomdp.reset)(reset_keys)
+    def play_episodes(params: PyTree, beginnings: jax.Array, step_keys: jax.Array) -> _Play:
+        lanes = beginnings.shape[0]
+        state, observation = jax.vmap(partial(begin_held_out, pomdp))(beginnings)
         action = jax.vmap(pomdp.action_space.sample)(step_keys)
         _, shape = jax.eval_shape(jax.vmap(pomdp.step), step_keys, state, action)
         zeros = jnp.zeros(lanes, jnp.float32)
         names = [f"task/{n}" for n in shape.metrics] + [f"reward/{n}" for n in shape.reward_terms]
-        names += list(_agent_rewards(shape.reward))
+        names += [f"agents/{i}/return" for i in range(agents) if agents > 1]
         first = _Play(
             state=state,
             observation=observation,
@@ -178,7 +214,7 @@ def _player(pomdp: POMDP, actor: Actor) -> Player:
             episode_return=zeros,
             length=jnp.zeros(lanes, jnp.int32),
             metrics={name: zeros for name in names},
-            kinds=dict(pomdp.sampler.kinds(state.origin)),
+            kinds=dict(held_out.kinds(state.origin)),
         )
 
         def advance(play: _Play) -> _Play:
@@ -190,8 +226,9 @@ def _player(pomdp: POMDP, actor: Actor) -> Player:
             for name, reward in step.reward_terms.items():
                 total = play.metrics[f"reward/{name}"]
                 metrics[f"reward/{name}"] = total + mean_of_agents(reward, 1)
-            for name, reward in _agent_rewards(step.reward).items():
-                metrics[name] = play.metrics[name] + reward
+            for i in range(agents) if agents > 1 else ():
+                name = f"agents/{i}/return"
+                metrics[name] = play.metrics[name] + step.reward[:, i]
             after = _Play(
                 state=state,
                 observation=step.observation,
@@ -210,19 +247,14 @@ def _player(pomdp: POMDP, actor: Actor) -> Player:
     return play_episodes
 
 
-def _agent_rewards(reward: Any) -> dict[str, Any]:
-    """Takes rewards [B, A] apart by what their sums are logged as; there are none in [B]."""
-    agents = range(reward.shape[1] if reward.ndim > 1 else 0)
-    return {
-        f"agents/{i}/return": reward[:, i] if isinstance(reward, jax.Array) else None
-        for i in agents
-    }
-
-
 def _evaluate(
-    player: Player, params: PyTree, episodes: int, seed: int, max_lanes: int
+    player: Player,
+    params: PyTree,
+    beginnings: jax.Array,
+    step_keys: jax.Array,
+    max_lanes: int,
 ) -> Evaluation:
-    reset_keys, step_keys = held_out_keys(seed, episodes)
+    episodes = len(beginnings)
     # Batches of one size, so that one program serves all; what the last one lacks is played again
     # and left out.
     turns = -(-episodes // max_lanes)
@@ -230,7 +262,7 @@ def _evaluate(
     parts = []
     for turn in range(turns):
         chosen = np.arange(turn * lanes, (turn + 1) * lanes) % episodes
-        parts.append(player(params, reset_keys[chosen], step_keys[chosen]))
+        parts.append(player(params, beginnings[chosen], step_keys[chosen]))
 
     results = [(p.success, p.episode_return, p.length, p.metrics, p.kinds) for p in parts]
     joined = jax.tree.map(

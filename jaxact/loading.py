@@ -86,6 +86,8 @@ def _load_file(path: Path) -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    # Where dataclasses look up annotations that are strings.
+    sys.modules.setdefault(path.stem, module)
     # The experiment's own directory comes first, as when Python runs a script.
     sys.path.insert(0, str(path.resolve().parent))
     try:

@@ -253,6 +253,20 @@ class TaskSampler(ABC):
         return {}
 
 
+@runtime_checkable
+class Listed(Protocol):
+    """A sampler of a list of episodes; evaluation plays each of them once, in order."""
+
+    @property
+    def count(self) -> int:
+        """How many episodes there are."""
+        ...
+
+    def listed(self, index: jax.Array, sampler_state: PyTree) -> Episode:
+        """Returns the episode at int32 `index` in 0 … `count` − 1."""
+        ...
+
+
 class Sensor(ABC):
     """One named part of the observation. It may look at the world and at the task."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import jax
@@ -12,7 +11,7 @@ import numpy as np
 from jaxact.caching import cached_by_identity
 from jaxact.distributions import Categorical
 from jaxact.errors import JaxactError
-from jaxact.evaluation import held_out_keys
+from jaxact.evaluation import begin_held_out, held_out_lanes
 from jaxact.features import check_names, draw, intermediates
 from jaxact.policy import Policy, PolicyMemory
 from jaxact.pomdp import POMDP
@@ -49,8 +48,8 @@ def record_episode(
     check_names(pomdp, policy, features)
     inside = _intermediates(policy.model, pomdp.action_space) if features else None
     start, advance, show = _player(pomdp, policy.model, greedy)
-    reset_keys, step_keys = held_out_keys(seed, 1)
-    state, observation, memory = start(reset_keys[0])
+    beginnings, step_keys = held_out_lanes(pomdp, seed, 1)
+    state, observation, memory = start(beginnings[0])
     mission = pomdp.words(observation) or None
     total, frames = 0.0, []
     for t in range(max_steps):
@@ -110,10 +109,9 @@ def side_by_side(pictures: list[np.ndarray]) -> np.ndarray:
 @cached_by_identity
 def _player(pomdp: POMDP, model: Any, greedy: bool) -> tuple[Any, Any, Any]:
     """Compiles the start of an episode, a step of it and its pictures."""
-    pomdp = replace(pomdp, sampler=pomdp.sampler.held_out)
 
-    def start(key: jax.Array) -> tuple[Any, ...]:
-        state, observation = pomdp.reset(key)
+    def start(beginning: jax.Array) -> tuple[Any, ...]:
+        state, observation = begin_held_out(pomdp, beginning)
         return state, observation, Policy(model, (), pomdp.action_space).initial_memory()
 
     def advance(

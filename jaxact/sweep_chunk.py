@@ -85,7 +85,8 @@ class Chunk:
                 record["diverged"] = int(before[i] + updates * self._sizes[piece.stage])
 
     def _evaluate(self, state: TrainState, steps: np.ndarray) -> None:
-        outcomes = evaluate_policies(self._program.player, state.params, self._episodes)
+        pomdp, player = self._program.experiment.pomdp, self._program.player
+        outcomes = evaluate_policies(pomdp, player, state.params, self._episodes)
         for record, outcome, step in zip(self._records, outcomes, steps.tolist(), strict=False):
             record["evaluations"].append({"step": step, **_means(outcome)})
         success = [record["evaluations"][-1]["success"] for record in self._records]

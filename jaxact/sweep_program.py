@@ -124,7 +124,7 @@ class SweepProgram:
 
     @cached_property
     def player(self) -> Player:
-        """(parameters [C], reset keys [B], step keys [B]) -> finished episodes [C, B]."""
+        """(parameters [C], beginnings [B], step keys [B]) -> finished episodes [C, B]."""
         experiment = self.experiment
         play = policy_player(experiment.pomdp, experiment.model, self.greedy)
         return self._over_runs(play, 0, None, None)

@@ -262,7 +262,7 @@ class Run:
         low, high = summary["success"]["interval"]
         self.display.message(
             f"{step:,} steps: success {summary['success']['mean']:.1%} "
-            f"[{low:.1%}, {high:.1%}] of {episodes} held-out episodes, "
+            f"[{low:.1%}, {high:.1%}] of {summary['episodes']} held-out episodes, "
             f"return {summary['return']['mean']:.3f}, length {summary['length']['mean']:.1f}"
         )
         if self.log is not None and self.directory is not None:

@@ -1,4 +1,4 @@
-"""The README's Python code runs, block after block, in one session."""
+"""The Python code of the README and of the page on houses runs, block after block."""
 
 import os
 import re
@@ -62,3 +62,20 @@ def test_code_of_the_readme_runs(shortened, tmp_path):
     rates = [float(x) for x in search.strip("[]").split(", ")]
     assert len(rates) == 4
     assert all(0 <= rate <= 1 for rate in rates)
+
+
+@pytest.mark.slow
+def test_code_of_the_page_on_houses_runs(tmp_path):
+    code = code_of((REPOSITORY / "docs" / "houses.md").read_text(encoding="utf-8"))
+    finished = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert finished.returncode == 0, finished.stderr
+    assert float(re.search(r"'mean': ([\d.]+)", finished.stdout)[1]) > 0.95
+    assert {path.name for path in tmp_path.iterdir()} == {"episodes.json.gz", "scenes.json.gz"}

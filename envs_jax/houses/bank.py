@@ -13,7 +13,7 @@ from envs_jax.houses.collision import is_free, obstacles
 from envs_jax.houses.draws import draw
 from envs_jax.houses.generator import SPLITS, Style, generate, scene_key
 from envs_jax.houses.geodesic import GoalField, Roadmap, build_roadmap, goal_field, shortest
-from envs_jax.houses.scene import NOWHERE, Scene
+from envs_jax.houses.scene import PADDING, Scene
 from envs_jax.houses.state import Body
 from jaxact.errors import JaxactError, unknown
 
@@ -128,7 +128,7 @@ def stack(scenes: Sequence[Scene]) -> Scene:
 
         extra = rooms - scene.rooms.shape[0]
         filled = jnp.arange(boxes) < scene.boxes.shape[0]
-        nowhere = jnp.array([NOWHERE, NOWHERE, NOWHERE, 0, 0, 0, 1, 0], jnp.float32)
+        nowhere = jnp.array(PADDING, jnp.float32)
         return replace(
             scene,
             boxes=jnp.where(filled[:, None], rows(scene.boxes), nowhere),

@@ -17,7 +17,7 @@ from envs_jax.houses import categories, floor_plans, furnishing
 from envs_jax.houses.draws import draw
 from envs_jax.houses.floor_plans import MOST_ROOMS, FloorPlan
 from envs_jax.houses.furnishing import MOST_SLOTS, Pieces
-from envs_jax.houses.scene import NOWHERE, Scene
+from envs_jax.houses.scene import PADDING, Scene
 from jaxact.errors import JaxactError, unknown
 
 SPLITS = ("train", "val", "test")
@@ -153,7 +153,6 @@ def _colors() -> np.ndarray:
 
 
 COLORS = _colors()
-_PADDING = np.array([0, NOWHERE, 0, 0, 0, 0, 1, 0], np.float32)
 
 
 def generate(key: jax.Array, style: Style) -> Scene:
@@ -214,9 +213,10 @@ def _scene(
     portable = jnp.where(
         lies, category != categories.index("Television"), jnp.asarray(_PORTABLE)[category]
     )
-    boxes = jnp.where(placed[:, None], jnp.concatenate([center, half, turn], axis=1), _PADDING)
+    padding = jnp.array(PADDING, jnp.float32)
+    boxes = jnp.where(placed[:, None], jnp.concatenate([center, half, turn], axis=1), padding)
     missing = style.boxes - len(boxes)
-    boxes = jnp.concatenate([boxes, jnp.broadcast_to(_PADDING, (missing, 8))])
+    boxes = jnp.concatenate([boxes, jnp.broadcast_to(padding, (missing, 8))])
     category = jnp.pad(category, (0, missing))
     portable = jnp.pad(portable & placed, (0, missing))
 

@@ -22,7 +22,7 @@ from envs_jax.houses.scene import Scene
 from envs_jax.houses.state import HouseState
 from envs_jax.houses.visibility import ROBOTHOR_SIGHT, Sight
 from jaxact.compaction import while_loop_for_few
-from jaxact.errors import unknown
+from jaxact.errors import JaxactError, unknown
 from jaxact.pomdp import POMDP, ExpertAction, Outcome, Task
 
 RULES = ("visible", "view_point")
@@ -233,3 +233,21 @@ class ObjectNav(Task):
 
     def _number(self, name: str) -> jax.Array:
         return jnp.asarray(getattr(self, name), jnp.float32)
+
+
+def check_sight(task: ObjectNav, pomdp: POMDP) -> None:
+    """Refuses a task beside a sampler's own that sees otherwise: goals are where things are seen.
+
+    Args:
+      task: the sampler's.
+      pomdp: that the sampler is to be a part of.
+
+    Raises:
+      JaxactError: they differ.
+    """
+    judge = pomdp.task
+    if isinstance(judge, ObjectNav) and judge.sight != task.sight:
+        raise JaxactError(
+            f"sampler.task.sight is {task.sight!r}, but task.sight is {judge.sight!r}: "
+            "goals are where things are visible, so both are set alike"
+        )

@@ -19,7 +19,7 @@ from envs_jax.houses.draws import draw, first_true, pick
 from envs_jax.houses.environment import House, check_house
 from envs_jax.houses.geodesic import GoalField, Roadmap, goal_field, shortest
 from envs_jax.houses.lattice import Lattice
-from envs_jax.houses.object_nav import ObjectNav
+from envs_jax.houses.object_nav import ObjectNav, check_sight
 from envs_jax.houses.point_nav import PointNav
 from envs_jax.houses.scene import Scene
 from envs_jax.houses.state import HouseState
@@ -155,12 +155,7 @@ class ObjectNavSampler(TaskSampler):
     def check(self, pomdp: POMDP) -> None:
         """Refuses other dynamics than the task's `house`, and other eyes than its `sight`."""
         check_house("sampler.task.house", self.task.house, pomdp)
-        judge = pomdp.task
-        if isinstance(judge, ObjectNav) and judge.sight != self.task.sight:
-            raise JaxactError(
-                f"sampler.task.sight is {self.task.sight!r}, but task.sight is {judge.sight!r}: "
-                "goals are where things are visible, so both are set alike"
-            )
+        check_sight(self.task, pomdp)
 
     @property
     def held_out(self) -> ObjectNavSampler:

@@ -20,6 +20,8 @@ HALF_SIZE = slice(3, 6)
 COSINE, SINE = 6, 7
 # Where boxes are that are not there: rows of padding, and what the agent carries.
 NOWHERE = -1e4
+# The box of a row of padding.
+PADDING = (0.0, NOWHERE, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
 
 @jax.tree_util.register_dataclass
@@ -29,7 +31,7 @@ class Scene:
 
     Attributes:
       boxes: float32 [N, 8], for each box its centre (x, y, z), half its size along its own x, y and
-        z axes, and the cosine and sine of its yaw. Rows of padding lie `NOWHERE` with no size.
+        z axes, and the cosine and sine of its yaw. Rows of padding are `PADDING`.
       other_boxes: float32 [N, 8], where each box goes when it is opened or, once it is open, when
         it is shut; the same as `boxes` for what cannot be opened.
       category: int32 [N], index into `categories.NAMES`; 0 for padding.
@@ -117,9 +119,8 @@ def make_scene(
     def rows(chosen: Sequence[Sequence[float]]) -> jax.Array:
         values = jnp.asarray(chosen, jnp.float32).reshape(-1, 7)
         made = box(values[:, :3], values[:, 3:6] / 2, values[:, 6])
-        padding = jnp.zeros((count - len(chosen), 8), jnp.float32)
-        padding = padding.at[:, CENTER].set(NOWHERE).at[:, COSINE].set(1)
-        return jnp.concatenate([made, padding])
+        padding = jnp.array(PADDING, jnp.float32)
+        return jnp.concatenate([made, jnp.tile(padding, (count - len(chosen), 1))])
 
     def flags(chosen: Sequence[int]) -> jax.Array:
         return jnp.zeros(count, bool).at[jnp.asarray(chosen, jnp.int32)].set(True)
@@ -132,7 +133,7 @@ def make_scene(
         boxes=rows(boxes),
         other_boxes=rows(places),
         category=kinds,
-        color=jnp.full((count, 3), 0.5, jnp.float32),
+        color=jnp.zeros((count, 3), jnp.float32).at[: len(boxes)].set(0.5),
         openable=flags(openable),
         portable=flags(portable),
         opened=jnp.zeros(count, bool),

@@ -58,15 +58,16 @@ def test_a_crowd_of_one_learns_what_a_single_agent_learns():
     for name, values in one.metrics.items():
         np.testing.assert_allclose(other.metrics[name], values, atol=1e-3, err_msg=name)
     np.testing.assert_allclose(other.evaluation.episode_return, one.evaluation.episode_return)
-    for_one = other.evaluation.metrics["agents/0/return"]
-    np.testing.assert_allclose(for_one, one.evaluation.episode_return, rtol=1e-5)
 
 
 @pytest.mark.parametrize("shared", ["all", "body", "nothing"])
 def test_crowds_learn_whatever_they_share(shared):
     stages = (Stage({"ppo": PPO()}, 15_360),)
     result = train(of_crowd(2, stages, shared, lanes=32), evaluation_episodes=200)
-    assert result.evaluation.success.mean() > 0.9
+    found = result.evaluation
+    assert found.success.mean() > 0.9
+    each = [found.metrics[f"agents/{i}/return"] for i in range(2)]
+    np.testing.assert_allclose(np.mean(each, axis=0), found.episode_return, atol=1e-5)
     sizes = {name: x["kernel"].ndim for name, x in _layers(result.policy.params).items()}
     own = {"all": set(), "body": {"actor", "critic"}, "nothing": set(sizes)}
     assert {name for name, ndim in sizes.items() if ndim == 3} == own[shared]

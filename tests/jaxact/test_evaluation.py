@@ -11,6 +11,7 @@ from jaxact import JaxactError, Policy, evaluate_expert, evaluate_policy, evalua
 from jaxact.distributions import Categorical
 from jaxact.evaluation import HELD_OUT, Evaluation
 from jaxact.models import ActorCriticOutput
+from jaxact.pomdp import Episode, TaskSampler
 from jaxact.train_state import make_key
 from tests.corridor import corridor
 from tests.tiny import Undemonstrated
@@ -92,6 +93,34 @@ def test_playing_in_turns_changes_nothing(monkeypatch):
     np.testing.assert_array_equal(together.length, in_turns.length)
     np.testing.assert_array_equal(together.success, in_turns.success)
     assert len(in_turns.metrics["task/distance"]) == 50
+
+
+@dataclasses.dataclass(frozen=True)
+class Listing(TaskSampler):
+    """Starts one after another, at the end of whose corridor the goal is."""
+
+    starts: tuple[int, ...] = (4, 1, 2, 4, 3)
+
+    @property
+    def count(self):
+        return len(self.starts)
+
+    def sample(self, key, sampler_state):
+        return self.listed(jax.random.randint(key, (), 0, self.count), sampler_state)
+
+    def listed(self, index, sampler_state):
+        del sampler_state
+        return Episode(jnp.array(self.starts, jnp.int32)[index], jnp.int32(5), jnp.int32(10))
+
+
+@pytest.mark.parametrize(("episodes", "played"), [(1000, 5), (3, 3)])
+def test_a_list_of_episodes_is_played_once_in_order(episodes, played, monkeypatch):
+    """Whatever the seed, in one turn or several, and from the beginning if not all are asked."""
+    monkeypatch.setattr(evaluation, "MAX_LANES", 4)
+    pomdp = dataclasses.replace(POMDP, sampler=Listing())
+    outcome = evaluate_expert(pomdp, episodes, seed=episodes)
+    assert outcome.length.tolist() == [1, 4, 3, 1, 2][:played]
+    assert outcome.success.shape == (played,)
 
 
 def test_summaries_have_means_and_intervals():

@@ -21,7 +21,7 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "helper.py").write_text("NAME = 'from the helper'\n")
     (tmp_path / "mine.py").write_text(SMALL)
     yield tmp_path
-    for name in ("helper", "package", "package.mine"):
+    for name in ("helper", "mine", "typed", "package", "package.mine"):
         sys.modules.pop(name, None)
 
 
@@ -31,6 +31,13 @@ def test_a_file_may_import_its_neighbours(folder):
     assert experiment.name == "from the helper"
     assert source == folder / "mine.py"
     assert sys.path == path
+
+
+def test_a_file_may_define_dataclasses_with_annotations_that_are_strings(folder):
+    part = "@dataclass(frozen=True)\nclass Part:\n    size: int = 1\n"
+    header = "from __future__ import annotations\nfrom dataclasses import dataclass\n"
+    (folder / "typed.py").write_text(header + part + SMALL)
+    assert load_experiment(str(folder / "typed.py"))[0].name == "from the helper"
 
 
 def test_one_of_several(folder):

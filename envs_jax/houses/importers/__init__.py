@@ -1,1 +1,1 @@
-"""Others' houses, maps and episodes, read from their files."""
+"""Houses, maps and episodes, read from files and written to them."""

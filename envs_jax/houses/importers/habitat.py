@@ -8,53 +8,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from envs_jax.houses.importers.reading import field, read_json
+from envs_jax.houses.importers.episodes import NavigationEpisode, Point, check_ids
+from envs_jax.houses.importers.reading import field, numbers, optional, read_json
 from jaxact.errors import JaxactError
 
 _Source = str | Path
-Point = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class HabitatGoal:
-    """Where a goal is, and from where it is seen.
-
-    Attributes:
-      position: (x, y, z) in this library's frame.
-      category: of an object; empty for a point.
-      view_points: likewise (x, y, z); none for a point.
-    """
-
-    position: Point
-    category: str
-    view_points: tuple[Point, ...]
-
-
-@dataclass(frozen=True)
-class HabitatEpisode:
-    """One episode.
-
-    Attributes:
-      id: of the episode.
-      scene: its file in the data set.
-      position: (x, y, z) at the start, in this library's frame.
-      yaw: degrees at the start, clockwise from +z.
-      category: what to find; empty for a point.
-      goals: any of which will do.
-      geodesic_distance: metres, as stored; None if it is not.
-    """
-
-    id: str
-    scene: str
-    position: Point
-    yaw: float
-    category: str
-    goals: tuple[HabitatGoal, ...]
-    geodesic_distance: float | None
+# What HM3D's and MP3D's objects are here; those that are missing keep their own names.
+CATEGORIES = {
+    "bathtub": "Bathtub",
+    "bed": "Bed",
+    "cabinet": "Cabinet",
+    "chair": "Chair",
+    "chest_of_drawers": "Dresser",
+    "clothes": "Cloth",
+    "counter": "CounterTop",
+    "cushion": "Pillow",
+    "picture": "Painting",
+    "plant": "HousePlant",
+    "shower": "ShowerGlass",
+    "sink": "Sink",
+    "sofa": "Sofa",
+    "stool": "Stool",
+    "table": "DiningTable",
+    "toilet": "Toilet",
+    "towel": "Towel",
+    "tv_monitor": "Television",
+}
 
 
 def from_habitat(x: float, y: float, z: float) -> Point:
@@ -74,8 +56,11 @@ def rotation_of(yaw: float) -> tuple[float, float, float, float]:
     return 0.0, math.sin(half), 0.0, math.cos(half)
 
 
-def read_episodes(path: _Source) -> list[HabitatEpisode]:
+def read_episodes(path: _Source) -> list[NavigationEpisode]:
     """Reads an episode file, compressed or not.
+
+    The goals of an episode are its points or, of objects, the view points of all instances; where
+    there are none, it is left to the scene from where an instance is seen.
 
     Raises:
       JaxactError: the file is no such file; or it has only the list of scenes, whose episodes are
@@ -85,56 +70,71 @@ def read_episodes(path: _Source) -> list[HabitatEpisode]:
     records = field(path, "the data set", data, "episodes", list)
     if not records:
         raise JaxactError(f"{path} has no episodes: read the files in the folder 'content' instead")
-    by_category = data.get("goals_by_category") or {}
-    if not isinstance(by_category, Mapping):
-        raise JaxactError(f"{path}: 'goals_by_category' must be an object")
+    by_category = optional(path, "the data set", data, "goals_by_category", dict, {})
     # Episodes share goals, of which there are many view points.
     shared = {
-        name: tuple(_goal(path, f"goal of {name}", goal) for goal in goals)
-        for name, goals in by_category.items()
+        name: _places(path, f"{name!r} of 'goals_by_category'", by_category, name)
+        for name in by_category
     }
-    return [_episode(path, f"episode {i}", record, shared) for i, record in enumerate(records)]
+    episodes = [_episode(path, f"episode {i}", record, shared) for i, record in enumerate(records)]
+    check_ids(path, episodes)
+    return episodes
 
 
 def _episode(
-    path: _Source, where: str, record: Any, shared: Mapping[str, tuple[HabitatGoal, ...]]
-) -> HabitatEpisode:
+    path: _Source, where: str, record: Any, shared: Mapping[str, tuple[Point, ...]]
+) -> NavigationEpisode:
     scene = field(path, where, record, "scene_id", str)
-    category = str(record.get("object_category") or "")
-    goals = tuple(_goal(path, where, goal) for goal in record.get("goals") or ())
-    if category and not goals:
-        name = f"{scene.rsplit('/', 1)[-1]}_{category}"
-        if name not in shared:
-            raise JaxactError(f"{path}: {where} looks for {name!r}, of which there are no goals")
-        goals = shared[name]
-    rotation = field(path, where, record, "start_rotation", list)
-    if len(rotation) != 4 or not all(isinstance(part, int | float) for part in rotation):
-        raise JaxactError(f"{path}: 'start_rotation' of {where} must be four numbers")
-    info = record.get("info") or {}
-    stored = info.get("geodesic_distance")
-    x, y, z, w = rotation
-    return HabitatEpisode(
-        id=str(record.get("episode_id", "")),
+    category = optional(path, where, record, "object_category", str, "")
+    name = record.get("episode_id")
+    if isinstance(name, bool) or not isinstance(name, str | int):
+        raise JaxactError(f"{path}: 'episode_id' of {where} must be a string, not {name!r:.40}")
+    if record.get("goals"):
+        goals = _places(path, where, record, "goals")
+    elif category:
+        key = f"{scene.rsplit('/', 1)[-1]}_{category}"
+        if key not in shared:
+            raise JaxactError(f"{path}: {where} looks for {key!r}, of which there are no goals")
+        goals = shared[key]
+    else:
+        raise JaxactError(f"{path}: {where} has no goals, and no 'object_category' to find")
+    x, y, z, w = numbers(path, where, record, "start_rotation", 4)
+    if abs(math.hypot(x, y, z, w) - 1) > 0.01:
+        raise JaxactError(
+            f"{path}: 'start_rotation' of {where} must be a unit quaternion, not {[x, y, z, w]}"
+        )
+    info = optional(path, where, record, "info", dict, {})
+    length = optional(path, f"'info' of {where}", info, "geodesic_distance", float, None)
+    if length is not None and length < 0:
+        raise JaxactError(
+            f"{path}: 'geodesic_distance' of {where} must not be negative, but is {length}"
+        )
+    return NavigationEpisode(
+        id=str(name),
         scene=scene,
-        position=_point(path, where, field(path, where, record, "start_position", list)),
+        position=_point(path, where, record, "start_position"),
         yaw=yaw_of((x, y, z, w)),
-        category=category,
+        category=CATEGORIES.get(category, category),
         goals=goals,
-        geodesic_distance=None if stored is None else float(stored),
+        length=length,
     )
 
 
-def _goal(path: _Source, where: str, record: Any) -> HabitatGoal:
-    position = _point(path, where, field(path, where, record, "position", list))
-    views = []
-    for view in record.get("view_points") or ():
-        state = field(path, where, view, "agent_state", dict)
-        views.append(_point(path, where, field(path, where, state, "position", list)))
-    return HabitatGoal(position, str(record.get("object_category") or ""), tuple(views))
+def _places(path: _Source, where: str, record: Any, name: str) -> tuple[Point, ...]:
+    """Returns where goals are to be come to: at points, or at the view points of objects."""
+    places = []
+    for i, goal in enumerate(field(path, where, record, name, list)):
+        which = f"goal {i} of {where}"
+        position = _point(path, which, goal, "position")
+        views = optional(path, which, goal, "view_points", list, [])
+        for view in views:
+            state = field(path, f"a view point of {which}", view, "agent_state", dict)
+            places.append(_point(path, f"a view point of {which}", state, "position"))
+        if not views and not goal.get("object_category"):
+            places.append(position)
+    return tuple(places)
 
 
-def _point(path: _Source, where: str, values: list) -> Point:
-    if len(values) != 3 or not all(isinstance(value, int | float) for value in values):
-        raise JaxactError(f"{path}: a position of {where} must be three numbers")
-    x, y, z = values
-    return from_habitat(float(x), float(y), float(z))
+def _point(path: _Source, where: str, record: Any, name: str) -> Point:
+    x, y, z = numbers(path, where, record, name, 3)
+    return from_habitat(x, y, z)

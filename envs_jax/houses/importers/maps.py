@@ -10,11 +10,12 @@ import numpy as np
 
 from envs_jax.houses import categories
 from envs_jax.houses.generator import COLORS
-from envs_jax.houses.importers.reading import read_array
+from envs_jax.houses.importers.reading import LARGEST, read_array
 from envs_jax.houses.scene import Scene, make_scene
 from jaxact.errors import JaxactError
 
 _HEIGHT = 2.5
+_MOST_CELLS = 10_000_000
 
 
 def read_occupancy(path: str | Path, cell: float, boxes: int | None = None) -> Scene:
@@ -32,10 +33,11 @@ def read_occupancy(path: str | Path, cell: float, boxes: int | None = None) -> S
       JaxactError: the file is no such map, or there are more boxes.
     """
     grid = read_array(path)
-    if grid.ndim != 2 or grid.dtype.kind not in "bi" or cell <= 0:
+    _check_cell(cell)
+    if grid.ndim != 2 or grid.dtype.kind not in "bi":
         raise JaxactError(
-            f"{path} must be a map of two axes, of bools or integers, with a positive cell, "
-            f"not {grid.dtype}{list(grid.shape)} with {cell}"
+            f"{path} must be a map of two axes, of bools or signed integers, "
+            f"not {grid.dtype}{list(grid.shape)}"
         )
     free = grid if grid.dtype == bool else grid >= 0
     return _scene(str(path), free[::-1].T, cell, (0.0, -(free.shape[0] - 1) * cell), boxes)
@@ -55,18 +57,33 @@ def read_reachable(path: str | Path, cell: float = 0.25, boxes: int | None = Non
       JaxactError: the file holds no such points, or there are more boxes.
     """
     points = read_array(path)
-    if points.ndim != 2 or points.shape[1] != 2 or not len(points) or points.dtype.kind != "f":
+    _check_cell(cell)
+    if points.ndim != 2 or points.shape[1] != 2 or not len(points) or points.dtype.kind not in "fi":
         raise JaxactError(
             f"{path} must be points float [n, 2], not {points.dtype}{list(points.shape)}"
         )
+    # NaN is not less than anything either.
+    if not np.all(np.abs(points) <= LARGEST):
+        raise JaxactError(f"{path} must be points of finite coordinates, of at most {LARGEST} m")
     steps = points / cell
-    if not np.all(np.isfinite(steps)) or np.abs(steps - np.round(steps)).max() > 0.01:
+    if np.abs(steps - np.round(steps)).max() > 0.01:
         raise JaxactError(f"{path} must be points of a grid of {cell} m")
+    wide, deep = steps.max(axis=0) - steps.min(axis=0)
+    if wide * deep > _MOST_CELLS:
+        raise JaxactError(
+            f"{path} has points over {wide:.0f} by {deep:.0f} cells, more than {_MOST_CELLS:,} in "
+            "all: some are far from the others"
+        )
     rows = np.round(steps).astype(np.int64)
     low = rows.min(axis=0)
     free = np.zeros(rows.max(axis=0) - low + 1, bool)
     free[tuple((rows - low).T)] = True
     return _scene(str(path), free, cell, (low[0] * cell, low[1] * cell), boxes)
+
+
+def _check_cell(cell: float) -> None:
+    if not 0 < cell <= LARGEST:
+        raise JaxactError(f"cell must be a positive number of metres, got {cell!r}")
 
 
 def _scene(

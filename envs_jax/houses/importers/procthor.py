@@ -16,12 +16,14 @@ import numpy as np
 from envs_jax.houses import categories
 from envs_jax.houses.asset_sizes import SIZES
 from envs_jax.houses.generator import COLORS
-from envs_jax.houses.importers.reading import field, read_json, vector
+from envs_jax.houses.importers.reading import field, optional, read_json, vector
 from envs_jax.houses.scene import Scene, make_scene
-from jaxact.errors import JaxactError
+from jaxact.errors import JaxactError, unknown
 
 _THICK = 0.1
 _RELIEF = 0.01
+# By how much holes may stick out of their walls.
+_SLACK = 0.01
 # The type and the size (x, y, z) of each asset.
 Assets = Mapping[str, tuple[str, tuple[float, float, float]]]
 _Source = str | Path
@@ -73,6 +75,8 @@ def read_assets(path: _Source) -> Assets:
             where = f"asset {i} of {kind}"
             name = field(path, where, entry, "assetId", str)
             size = vector(path, where, field(path, where, entry, "boundingBox", dict))
+            if min(size) < 0:
+                raise JaxactError(f"{path}: 'boundingBox' of {where} must not be negative")
             assets[name] = (kind, (size[0], size[1], size[2]))
     return assets
 
@@ -105,11 +109,13 @@ def read_house(path: _Source, assets: Assets | None = None, boxes: int | None = 
     for wall, hole, _ in _openings(path, house, "windows", walls):
         begin, end, low, high = hole
         parts.append(_Part(wall.box(begin, end, low, high, _THICK + 2 * _RELIEF), "Window"))
-    for record in field(path, "the house", house, "objects", list):
-        parts += _things(path, record, assets or {})
+    for i, record in enumerate(field(path, "the house", house, "objects", list)):
+        parts += _things(path, f"object {i}", record, assets or {})
     if boxes is not None and len(parts) > boxes:
         raise JaxactError(f"{path} has {len(parts)} boxes, more than {boxes}")
     rooms = list(_read_rooms(path, house))
+    if not rooms:
+        raise JaxactError(f"{path}: a house needs rooms")
     scene = make_scene(
         [part.box for part in parts],
         [categories.index(part.category) for part in parts],
@@ -139,6 +145,8 @@ def _read_walls(path: _Source, house: Any) -> dict[str, _Wall]:
         base = [(x, z) for x, y, z in points if y == floor]
         if len(points) != 4 or len(base) != 2 or math.dist(*base) < 1e-6:
             raise JaxactError(f"{path}: {where} must be an upright rectangle of four points")
+        if name in walls:
+            raise JaxactError(f"{path}: {where} has the id {name!r} of another wall")
         walls[name] = _Wall(base[0], base[1], max(point[1] for point in points) - floor)
     if not walls:
         raise JaxactError(f"{path}: a house needs walls")
@@ -151,8 +159,7 @@ def _openings(
     """Returns the holes of doors or windows: the wall, (begin, end, low, high), and the record."""
     found = []
     # Stages of generation before there are any say null.
-    records = house.get(kind)
-    for i, record in enumerate(field(path, "the house", house, kind, list) if records else []):
+    for i, record in enumerate(optional(path, "the house", house, kind, list, [])):
         where = f"{kind[:-1]} {i}"
         name = field(path, where, record, "wall0", str)
         if name not in walls:
@@ -163,6 +170,17 @@ def _openings(
             raise JaxactError(f"{path}: the hole of {where} must have two corners")
         begin, low = (min(values) for values in zip(*corners, strict=True))
         end, high = (max(values) for values in zip(*corners, strict=True))
+        length, height = walls[name].length, walls[name].height
+        if end - begin < _SLACK or begin < -_SLACK or end > length + _SLACK:
+            raise JaxactError(
+                f"{path}: the hole of {where} is from {begin:g} to {end:g} m along {name!r}, which "
+                f"is {length:g} m long"
+            )
+        if high - low < _SLACK or low < -_SLACK or high > height + _SLACK:
+            raise JaxactError(
+                f"{path}: the hole of {where} is from {low:g} to {high:g} m up {name!r}, which is "
+                f"{height:g} m high"
+            )
         found.append((walls[name], (begin, end, low, high), record))
     return found
 
@@ -189,12 +207,14 @@ def _cut(
                 turned = (begin, end) if face == wall else (wall.length - end, wall.length - begin)
                 own.append((*turned, low, high))
         for begin, end, low, high in sorted(own):
-            yield wall.box(done, begin, 0.0, wall.height, _THICK)
+            # Holes may touch or overlap.
+            if begin > done:
+                yield wall.box(done, begin, 0.0, wall.height, _THICK)
             if low > 0:
                 yield wall.box(begin, end, 0.0, low, _THICK)
             if high < wall.height:
                 yield wall.box(begin, end, high, wall.height, _THICK)
-            done = end
+            done = max(done, end)
         yield wall.box(done, ends, 0.0, wall.height, _THICK)
 
 
@@ -214,23 +234,26 @@ def _door(wall: _Wall, hole: tuple[float, float, float, float], record: Mapping)
         yield _Part(shut, "Door", (x, shut[1], z, width, high - low, _THICK / 2, shut[6] + 90))
 
 
-def _things(path: _Source, record: Any, assets: Assets) -> Iterator[_Part]:
+def _things(path: _Source, where: str, record: Any, assets: Assets) -> Iterator[_Part]:
     """Yields an object and all that is in it."""
-    name = field(path, "an object", record, "id", str)
-    asset = field(path, name, record, "assetId", str)
+    name = field(path, where, record, "id", str)
+    where = f"{where} ({name})"
+    asset = field(path, where, record, "assetId", str)
     if asset in assets:
         kind, size = assets[asset]
+        if kind not in categories.NAMES:
+            raise JaxactError(f"{path}: {where}: {unknown('object type', kind, categories.NAMES)}")
     else:
         kind = re.split(r"[|_]", name)[0]
         if kind not in SIZES:
             raise JaxactError(f"{path}: unknown asset {asset!r}, and {name!r} names no object type")
         width, height, depth = SIZES[kind][1]
         size = (width, height, depth)
-    x, y, z = vector(path, name, field(path, name, record, "position", dict))
-    yaw = vector(path, name, field(path, name, record, "rotation", dict))[1]
+    x, y, z = vector(path, where, field(path, where, record, "position", dict))
+    yaw = vector(path, where, field(path, where, record, "rotation", dict))[1]
     yield _Part((x, y, z, *size, yaw), kind)
-    for child in record.get("children") or ():
-        yield from _things(path, child, assets)
+    for i, child in enumerate(optional(path, where, record, "children", list, [])):
+        yield from _things(path, f"child {i} of {where}", child, assets)
 
 
 def _read_rooms(
@@ -244,6 +267,8 @@ def _read_rooms(
         name = field(path, where, record, "roomType", str)
         kind = categories.ROOMS.index(name) if name in categories.ROOMS else 0
         edges = list(zip(corners, corners[1:] + corners[:1], strict=True))
+        if len(corners) < 4:
+            raise JaxactError(f"{path}: {where} must have at least four corners")
         if any(min(abs(a[0] - b[0]), abs(a[1] - b[1])) > 1e-3 for a, b in edges):
             raise JaxactError(f"{path}: the walls of {where} must be parallel to the axes")
         sides = sorted({x for x, _ in corners})

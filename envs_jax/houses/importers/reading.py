@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import zipfile
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,6 +13,9 @@ from typing import Any
 import numpy as np
 
 from jaxact.errors import JaxactError
+
+# Metres and degrees that are larger are mistakes; half as far as what is nowhere.
+LARGEST = 5000.0
 
 
 def read_json(path: str | Path) -> Any:
@@ -31,7 +35,7 @@ def read_json(path: str | Path) -> Any:
         raise JaxactError(f"cannot read {path}: {error.strerror}") from None
     except (EOFError, zlib.error) as error:
         raise JaxactError(f"{path} is a gzip file that is cut off or damaged: {error}") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise JaxactError(f"{path} is no JSON: {error}") from None
 
 
@@ -42,10 +46,12 @@ def read_array(path: str | Path) -> np.ndarray:
       JaxactError: it cannot be read, or is not (all of) such a file.
     """
     try:
-        array = np.load(path, allow_pickle=False)
+        # Opened here, so that it is closed whatever is in it.
+        with Path(path).open("rb") as file:
+            array = np.load(file, allow_pickle=False)
     except OSError as error:
         raise JaxactError(f"cannot read {path}: {error.strerror or error}") from None
-    except (ValueError, EOFError) as error:
+    except (ValueError, EOFError, MemoryError, zipfile.BadZipFile) as error:
         raise JaxactError(f"{path} is no NumPy array: {error}") from None
     if not isinstance(array, np.ndarray):
         raise JaxactError(f"{path} must hold one NumPy array, not an archive of several")
@@ -60,7 +66,7 @@ def field(source: str | Path, where: str, record: Any, name: str, kind: type) ->
       where: which object it is, for the message.
       record: the object.
       name: of the field.
-      kind: what it must be; `float` for any number.
+      kind: what it must be; `float` for any number, which is returned as such.
 
     Raises:
       JaxactError: there is no such field, or it is of another kind.
@@ -70,8 +76,9 @@ def field(source: str | Path, where: str, record: Any, name: str, kind: type) ->
     if name not in record:
         raise JaxactError(f"{source}: {where} has no {name!r}")
     value = record[name]
-    expected = (int, float) if kind is float else kind
-    if not isinstance(value, expected) or (isinstance(value, float) and not np.isfinite(value)):
+    if kind is float:
+        return _number(source, f"{name!r} of {where}", value)
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
         raise JaxactError(
             f"{source}: {name!r} of {where} must be {_KINDS.get(kind, kind.__name__)}, "
             f"not {value!r:.40}"
@@ -79,7 +86,26 @@ def field(source: str | Path, where: str, record: Any, name: str, kind: type) ->
     return value
 
 
-_KINDS = {float: "a finite number", list: "a list", dict: "an object", str: "a string"}
+_KINDS = {
+    list: "a list",
+    dict: "an object",
+    str: "a string",
+    bool: "true or false",
+    int: "a whole number",
+}
+
+
+def optional(
+    source: str | Path, where: str, record: Any, name: str, kind: type, default: Any
+) -> Any:
+    """Returns a field like `field`, or `default` where there is none or it is null.
+
+    Raises:
+      JaxactError: it is of another kind.
+    """
+    if isinstance(record, Mapping) and record.get(name) is None:
+        return default
+    return field(source, where, record, name, kind)
 
 
 def vector(source: str | Path, where: str, record: Any, names: str = "xyz") -> list[float]:
@@ -88,4 +114,29 @@ def vector(source: str | Path, where: str, record: Any, names: str = "xyz") -> l
     Raises:
       JaxactError: one of them is missing or no number.
     """
-    return [float(field(source, where, record, name, float)) for name in names]
+    return [field(source, where, record, name, float) for name in names]
+
+
+def numbers(source: str | Path, where: str, record: Any, name: str, count: int) -> list[float]:
+    """Returns a field that is a list of so many numbers, such as [1, 0, 2].
+
+    Raises:
+      JaxactError: there is no such field, or it is no such list.
+    """
+    values = field(source, where, record, name, list)
+    if len(values) != count:
+        raise JaxactError(
+            f"{source}: {name!r} of {where} must have {count} numbers, not {len(values)}"
+        )
+    return [_number(source, f"{name!r} of {where}", value) for value in values]
+
+
+def _number(source: str | Path, what: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise JaxactError(f"{source}: {what} must be a finite number, not {value!r:.40}")
+    # NaN is not less than anything either.
+    if not abs(value) <= LARGEST:
+        raise JaxactError(
+            f"{source}: {what} must be a finite number of at most {LARGEST:.0f}, not {value!r:.40}"
+        )
+    return float(value)
