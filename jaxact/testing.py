@@ -43,6 +43,10 @@ def _is_weak(x: Any) -> bool:
     return bool(getattr(getattr(x, "aval", x), "weak_type", False))
 
 
+def _form(dtype: str, shape: tuple[int, ...]) -> str:
+    return f"{dtype}{list(shape)}" if shape else f"a {dtype} scalar"
+
+
 def _is_scalar(x: jax.Array, dtype: Any) -> bool:
     return x.dtype == dtype and x.shape == ()
 
@@ -82,7 +86,7 @@ def _check_step(step: Step, each: tuple[int, ...]) -> None:
     metrics = {f"metric {name}": (value, ()) for name, value in step.metrics.items()}
     for name, (value, shape) in {**rewards, **metrics}.items():
         assert (value.dtype, value.shape) == (jnp.float32, shape), (
-            f"{name} must be float32{list(shape)}, it is {value.dtype}{list(value.shape)}"
+            f"{name} must be {_form('float32', shape)}, it is {value.dtype}{list(value.shape)}"
         )
     assert step.reward.dtype == jnp.float32, "the reward must be float32"
 
@@ -135,7 +139,7 @@ def _check_expert(pomdp: POMDP, key: jax.Array, state: State) -> None:
     chex.assert_trees_all_equal_shapes_and_dtypes(advice.action, expected)
     each = _agent_axis(pomdp)
     assert (advice.valid.dtype, advice.valid.shape) == (jnp.bool_, each), (
-        f"the expert's `valid` must be bool{list(each)}"
+        f"the expert's `valid` must be {_form('bool', each)}"
     )
     if bool(jnp.all(advice.valid)):
         assert bool(pomdp.action_space.contains(advice.action)), (

@@ -3,23 +3,36 @@
 import dataclasses
 
 import chex
+import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import envs_jax
 import jaxact
 from jaxact import Experiment, JaxactError, Stage, TrainingPipeline
 from jaxact.agents import ForAll, MixedRewards, as_agents, as_lanes
 from jaxact.losses import PPO, Imitation
 from jaxact.models import GRU, ActorCritic, AgentsActorCritic, Concatenated, Vector
+from jaxact.policy import Policy
+from jaxact.recording import record_episode
 from jaxact.schedules import Linear
 from jaxact.spaces import Agents, Discrete
 from jaxact.testing import check_pomdp
+from jaxact.video import annotate
 from tests.corridor import CellAndGoal, corridor
 from tests.crowd import ReachEnds, crowd
 
 ENCODER = Concatenated({"vector": Vector((16,))})
+
+
+class Flat(nn.Module):
+    """A map of planes as one vector."""
+
+    @nn.compact
+    def __call__(self, image):
+        return image.reshape(*image.shape[:-3], -1).astype(jnp.float32)
 
 
 def experiment(pomdp, model, stages, **settings):
@@ -193,3 +206,28 @@ def test_what_does_not_fit_together_is_refused():
         train(experiment(pomdp, wrong, stages))
     with pytest.raises(JaxactError, match="unknown way of sharing parameters 'al'"):
         train(of_crowd(2, stages, "al"))
+
+
+def test_films_show_every_agents_policy():
+    pomdp = envs_jax.make("Markov-StagHunt-v0")
+    encoder = Concatenated({"map": Flat()})
+    model = AgentsActorCritic(pomdp.action_space, encoder, GRU(4))
+    observation = jax.tree.map(lambda x: x[None], pomdp.observation_space.zeros())
+    params = model.init(
+        jax.random.key(0), observation, model.initial_memory(1), jnp.zeros((1, 2), jnp.int32),
+        jnp.ones(1, bool),
+    )  # fmt: skip
+    film = record_episode(pomdp, Policy(model, params, pomdp.action_space), max_steps=2)
+    assert film.shape[0] == 2
+    panel = {"value": 0.0, "reward": 0.0, "episode_return": 0.0, "step": 0, "mission": None}
+    heights = [
+        annotate(
+            np.zeros((120, 120, 3), np.uint8),
+            action_names=["x"] * bars,
+            action_probabilities=[0.5] * bars,
+            chosen=[0],
+            **panel,
+        ).shape[0]
+        for bars in (4, 8)
+    ]
+    assert film.shape[1] == heights[1] > heights[0]
