@@ -1,7 +1,7 @@
 r"""BabyAI-GoToLocal from demonstrations alone: behaviour cloning off the policy, without a world.
 
 python -m jaxact.collect examples/babyai_gotolocal_bc_offline.py --episodes 1000000 \
-    --output demonstrations/gotolocal
+    --output demonstrations/gotolocal_partial
 python -m jaxact.train examples/babyai_gotolocal_bc_offline.py
 """
 
@@ -17,7 +17,7 @@ from jaxact.storages import DemonstrationStorage
 pomdp = partially_observing(envs_jax.make("BabyAI-GoToLocal-v0"))
 demonstrations = DemonstrationStorage(
     losses={"imitation": Imitation()},
-    path="demonstrations/gotolocal",
+    path="demonstrations/gotolocal_partial",
     lanes=64,
     length=16,
     updates=8,

@@ -8,7 +8,7 @@ environment step. `--set pipeline.lanes=64 --set model.memory_size=128` is for s
 `bc_offline` learns from recorded demonstrations alone:
 
 python -m jaxact.collect examples/babyai_gotolocal_paper.py:bc_offline --episodes 1000000 \
-    --output demonstrations/gotolocal
+    --output demonstrations/gotolocal_partial
 """
 
 from typing import Any
@@ -52,7 +52,7 @@ def _experiment(method: str, stage: Stage, **numbers: Any) -> Experiment:
 def _experiments() -> dict[str, Experiment]:
     imitation, forced_less = {"imitation": Imitation()}, Linear(1.0, 0.0, IMITATION / 2)
     demonstrations = DemonstrationStorage(
-        losses=imitation, path="demonstrations/gotolocal", lanes=32, length=128, updates=16
+        losses=imitation, path="demonstrations/gotolocal_partial", lanes=32, length=128, updates=16
     )
     ppo = Stage({"ppo": PPO(clip=Linear(0.1, 0.0, REINFORCEMENT))}, int(REINFORCEMENT))
     a2c = Stage({"a2c": A2C()}, int(REINFORCEMENT))

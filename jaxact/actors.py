@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -47,7 +47,7 @@ def expert_actor(pomdp: POMDP) -> Actor:
         expert = jax.vmap(pomdp.expert)(expert_keys, state)
         random = jax.vmap(pomdp.action_space.sample)(random_keys)
         action = select(expert.valid, expert.action, random)
-        return ExpertAction(action, expert.valid), memory
+        return replace(expert, action=action), memory
 
     return Actor(act, lambda lanes: ())
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import jax
 import numpy as np
 
 from jaxact.demonstration_writer import DemonstrationWriter
-from jaxact.demonstrations import Demonstrations, Description
+from jaxact.demonstrations import Demonstrations, Description, world_parts
 from jaxact.episode_assembly import EpisodeAssembly
 from jaxact.episode_stream import LANES, EpisodeStream
 from jaxact.errors import JaxactError, unknown
@@ -20,7 +21,7 @@ from jaxact.evaluate import choose_checkpoints, load_policy, load_run
 from jaxact.loading import load_experiment, shipped_examples
 from jaxact.overrides import fingerprint, override
 from jaxact.policy import Policy
-from jaxact.pomdp import POMDP, PyTree
+from jaxact.pomdp import POMDP, ExpertAction, PyTree, Step
 from jaxact.progress import ProgressDisplay
 from jaxact.runs import CONFIG
 
@@ -72,6 +73,7 @@ def collect(
     acting = {"kind": "expert"} if policy is None else {"kind": "policy", **(actor or {})}
     if policy is not None:
         acting |= {"greedy": greedy, "parameters": _digest(policy.params)}
+    step, advice = jax.eval_shape(partial(_first_step, pomdp), jax.random.key(0))
     description = Description(
         world=world,
         actor=acting,
@@ -79,10 +81,13 @@ def collect(
         action_space=pomdp.action_space,
         observation_space=pomdp.observation_space,
         final_observations=final_observations,
+        reward_terms=tuple(step.reward_terms),
+        expert_policy=policy is None and advice is not None and advice.policy is not None,
         settings={
             "episodes": episodes,
             "successful_only": successful_only,
             "world_fingerprint": fingerprint(pomdp),
+            "world_parts": world_parts(pomdp),
         },
     )
     writer = DemonstrationWriter(Path(output), description)
@@ -151,6 +156,13 @@ def collect_named(
         f"{demonstrations.steps:,} steps, {size / 1e6:,.1f} MB"
     )
     return demonstrations
+
+
+def _first_step(pomdp: POMDP, key: jax.Array) -> tuple[Step, ExpertAction | None]:
+    """Returns what a step and the expert's advice look like."""
+    state, _ = pomdp.reset(key)
+    _, step = pomdp.step(key, state, pomdp.action_space.zeros())
+    return step, pomdp.expert(key, state) if pomdp.has_expert else None
 
 
 def _digest(params: PyTree) -> str:

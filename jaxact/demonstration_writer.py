@@ -20,6 +20,7 @@ from jaxact.demonstrations import (
     file_name,
     open_shard,
     read_manifest,
+    verify_shard,
 )
 from jaxact.errors import JaxactError
 from jaxact.runs import write_json
@@ -109,18 +110,26 @@ class DemonstrationWriter:
         return Demonstrations(self.path)
 
     def _go_on(self) -> None:
-        manifest, wanted = read_manifest(self.path), self._description.to_json()
+        manifest = read_manifest(self.path)
+        wanted = {"format": FORMAT, **self._description.to_json()}
         for name, value in wanted.items():
-            if manifest[name] != value:
+            found = manifest[name]
+            if found != value:
+                if isinstance(value, dict):
+                    others = {key for key in found | value if found.get(key) != value.get(key)}
+                    found, value = (
+                        {key: x for key, x in of.items() if key in others} for of in (found, value)
+                    )
                 raise JaxactError(
                     f"{self.path} holds other demonstrations: its {name.replace('_', ' ')} is "
-                    f"{manifest[name]}, but {value} was asked for; choose another directory"
+                    f"{found}, but {value} was asked for; choose another directory"
                 )
         self._shards = manifest["shards"]
         self.episodes, self.steps = manifest["episodes"], manifest["steps"]
         self.played, self.complete = manifest["played"], manifest["complete"]
         for entry in self._shards:
             open_shard(self.path, self._fields, entry)
+            verify_shard(self.path, entry)
         finished = {entry["name"] for entry in self._shards}
         for path in self.path.iterdir():
             if path.name.startswith((_SHARD, _PARTIAL)) and path.name not in finished:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -19,19 +20,24 @@ from urllib.parse import quote
 import jax
 import numpy as np
 
+from jaxact.demonstration_spaces import dict_from_json, space_from_json, space_to_json
 from jaxact.demonstration_windows import DemonstrationData
 from jaxact.errors import JaxactError, unknown
+from jaxact.overrides import fingerprint
 from jaxact.pomdp import POMDP, PyTree
-from jaxact.spaces import Box, Dict, Discrete, Space, Tuple
+from jaxact.spaces import Dict, Discrete, Space
 
-FORMAT = 1
+FORMAT = 2
+# Without components of the reward and policies of experts.
+_FIRST_FORMAT = 1
 MANIFEST = "demonstrations.json"
 PER_STEP, PER_EPISODE = "step", "episode"
 
 _READ_AT_ONCE = 1 << 24
 _MANIFEST_KEYS = {
     "format", "complete", "world", "actor", "seed", "settings", "action_space",
-    "observation_space", "final_observations", "episodes", "steps", "played", "shards",
+    "observation_space", "final_observations", "reward_terms", "expert_policy", "episodes", "steps",
+    "played", "shards",
 }  # fmt: skip
 
 
@@ -66,6 +72,8 @@ class Description:
       action_space: of the world.
       observation_space: of the world; a space by name.
       final_observations: whether the last observation of each episode is kept.
+      reward_terms: names of the reward's components that are kept.
+      expert_policy: whether the expert's probabilities of its n discrete actions are kept.
       settings: what else the set was made with, as JSON holds it.
     """
 
@@ -75,20 +83,30 @@ class Description:
     action_space: Space
     observation_space: Dict
     final_observations: bool = False
+    reward_terms: tuple[str, ...] = ()
+    expert_policy: bool = False
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def fields(self) -> dict[str, Field]:
         """Returns the arrays of every shard by name.
 
         Raises:
-          JaxactError: a dtype that `.npy` files cannot hold.
+          JaxactError: a dtype that `.npy` files cannot hold, or an expert's policy where actions
+            are not discrete.
         """
         observation = named_leaves("observation", self.observation_space.structure)
         steps = {**observation, **named_leaves("action", self.action_space.structure)}
         flags = dict.fromkeys(("valid", "terminated", "truncated", "success"), np.dtype(bool))
         scalars = {"reward": np.dtype(np.float32), **flags}
+        scalars |= {f"reward_terms.{name}": np.dtype(np.float32) for name in self.reward_terms}
         found = {n: Field(PER_STEP, tuple(x.shape), str(x.dtype)) for n, x in steps.items()}
         found |= {n: Field(PER_STEP, (), str(dtype)) for n, dtype in scalars.items()}
+        if self.expert_policy:
+            if not isinstance(self.action_space, Discrete):
+                raise JaxactError(
+                    f"an expert's policy is of discrete actions, not of {self.action_space}"
+                )
+            found["policy"] = Field(PER_STEP, (self.action_space.n,), "float32")
         found["first_step"] = Field(PER_EPISODE, (), "int64")
         if self.final_observations:
             for name, x in observation.items():
@@ -108,6 +126,8 @@ class Description:
             "action_space": space_to_json(self.action_space),
             "observation_space": space_to_json(self.observation_space),
             "final_observations": self.final_observations,
+            "reward_terms": list(self.reward_terms),
+            "expert_policy": self.expert_policy,
         }
 
 
@@ -141,8 +161,10 @@ class Demonstrations:
             actor=manifest["actor"],
             seed=manifest["seed"],
             action_space=space_from_json(manifest["action_space"]),
-            observation_space=_dict_from_json(manifest["observation_space"]),
+            observation_space=dict_from_json(manifest["observation_space"]),
             final_observations=manifest["final_observations"],
+            reward_terms=tuple(manifest["reward_terms"]),
+            expert_policy=manifest["expert_policy"],
             settings=manifest["settings"],
         )
         self.episodes: int = manifest["episodes"]
@@ -159,12 +181,7 @@ class Demonstrations:
           JaxactError: a file is not what was written, or its episodes make no sense.
         """
         for entry, shard in zip(self._entries, self.shards, strict=True):
-            for name, (_, expected) in entry["files"].items():
-                if _checksum(self.path / entry["name"] / name) != expected:
-                    raise JaxactError(
-                        f"{self.path / entry['name'] / name} was altered: its checksum is not that "
-                        f"in {MANIFEST}"
-                    )
+            verify_shard(self.path, entry)
             first = np.append(shard["first_step"], entry["steps"])
             ends = np.flatnonzero(shard["terminated"] | shard["truncated"])
             if first[0] != 0 or not np.array_equal(ends, first[1:] - 1):
@@ -176,7 +193,9 @@ class Demonstrations:
     def check(self, pomdp: POMDP) -> None:
         """Makes sure that what was recorded is what a world's models see and do.
 
-        Observations that the world has not are no harm.
+        Observations that the world has not are no harm, nor is another sampler. Where environment,
+        task (and with it the expert) or a sensor are others than those of the recording, there is a
+        warning, if the recording says what they were.
 
         Raises:
           JaxactError: another action space, or an observation that is missing or of another space.
@@ -198,8 +217,24 @@ class Demonstrations:
                     f"of {recorded.observation_space.spaces[name]}, but this world's is of {space}"
                 )
 
+        then, now = recorded.settings.get("world_parts", {}), world_parts(pomdp)
+        others = [
+            f"{name} ({then[name]['type']}, here {part['type']})"
+            if part["type"] != then[name]["type"]
+            else f"{name} ({part['type']} with other settings)"
+            for name, part in now.items()
+            if name in then and part != then[name]
+        ]
+        if others:
+            warnings.warn(
+                f"{self.path} was recorded in another world than this one, with another "
+                f"{', '.join(others)}: what was right there may be wrong here",
+                stacklevel=2,
+            )
+
     def load(self, pomdp: POMDP | None = None) -> DemonstrationData:
-        """Reads all steps into memory, as `demonstration_windows` streams through them.
+        """Reads all steps into memory, as `demonstration_windows` streams through them, and makes
+        sure that they are what was written.
 
         Args:
           pomdp: a world they have to suit; observations that it has not are left out.
@@ -208,12 +243,13 @@ class Demonstrations:
           NumPy arrays; `jax.device_put` brings them to a device.
 
         Raises:
-          JaxactError: they do not suit the world, or are more than int32 can count.
+          JaxactError: they do not suit the world, were altered, or are more than int32 can count.
         """
         if self.steps >= 2**31:
             raise JaxactError(f"{self.path} has {self.steps:,} steps; at most 2^31 - 1 can be used")
         if pomdp is not None:
             self.check(pomdp)
+        self.verify()
         names = (pomdp.observation_space if pomdp else self.description.observation_space).spaces
 
         def joined(name: str) -> Any:
@@ -237,6 +273,8 @@ class Demonstrations:
             terminated=joined("terminated"),
             truncated=joined("truncated"),
             final_observation=final,
+            reward_terms={n: joined(f"reward_terms.{n}") for n in self.description.reward_terms},
+            policy=joined("policy") if self.description.expert_policy else None,
         )
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
@@ -250,6 +288,18 @@ class Demonstrations:
                     for name, one in fields.items()
                     if name != "first_step"
                 }
+
+
+def world_parts(pomdp: POMDP) -> dict[str, dict[str, str]]:
+    """Returns name of the class and fingerprint of every part of a world but its sampler: two
+    worlds may well differ in which episodes they begin with.
+    """
+    sensors = {f"sensor {name}": sensor for name, sensor in pomdp.sensors.items()}
+    parts = {"environment": pomdp.environment, "task": pomdp.task, **sensors}
+    return {
+        name: {"type": type(part).__name__, "fingerprint": fingerprint(part)}
+        for name, part in parts.items()
+    }
 
 
 def named_leaves(prefix: str, tree: PyTree) -> dict[str, Any]:
@@ -286,8 +336,13 @@ def read_manifest(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise JaxactError(f"{file} cannot be read: {error}") from None
     version = manifest.get("format") if isinstance(manifest, dict) else None
-    if version != FORMAT:
-        raise JaxactError(f"{file} is of format {version}; this version of jaxact reads {FORMAT}")
+    if version == _FIRST_FORMAT:
+        manifest = {"reward_terms": [], "expert_policy": False} | manifest
+    elif version != FORMAT:
+        raise JaxactError(
+            f"{file} is of format {version}; this version of jaxact reads {_FIRST_FORMAT} and "
+            f"{FORMAT}"
+        )
     missing = _MANIFEST_KEYS - manifest.keys()
     if missing:
         raise JaxactError(f"{file} is not what was written: it lacks {', '.join(sorted(missing))}")
@@ -324,50 +379,16 @@ def open_shard(path: Path, fields: Mapping[str, Field], entry: Mapping[str, Any]
     return arrays
 
 
-def space_to_json(space: Space) -> dict[str, Any]:
-    """Describes a space in JSON's types.
+def verify_shard(path: Path, entry: Mapping[str, Any]) -> None:
+    """Reads the files of a shard and compares them with their checksums.
 
     Raises:
-      JaxactError: the format knows no such space.
+      JaxactError: one is not what was written.
     """
-    match space:
-        case Discrete(n):
-            return {"type": "Discrete", "n": n}
-        case Box(low, high, shape, dtype):
-            # As texts, for JSON has no infinities.
-            bounds = {"low": str(float(low)), "high": str(float(high))}
-            return {"type": "Box", **bounds, "shape": list(shape), "dtype": str(np.dtype(dtype))}
-        case Tuple(parts):
-            return {"type": "Tuple", "spaces": [space_to_json(part) for part in parts]}
-        case Dict(named):
-            return {"type": "Dict", "spaces": {n: space_to_json(x) for n, x in named.items()}}
-    raise JaxactError(f"demonstrations cannot be recorded with a space like {space}")
-
-
-def space_from_json(described: Mapping[str, Any]) -> Space:
-    """Returns the space that `space_to_json` described.
-
-    Raises:
-      JaxactError: it describes none.
-    """
-    try:
-        match described["type"]:
-            case "Discrete":
-                return Discrete(int(described["n"]))
-            case "Box":
-                low, high = float(described["low"]), float(described["high"])
-                return Box(low, high, tuple(described["shape"]), described["dtype"])
-            case "Tuple":
-                return Tuple(tuple(space_from_json(part) for part in described["spaces"]))
-            case "Dict":
-                return _dict_from_json(described)
-    except (KeyError, TypeError, ValueError):
-        pass
-    raise JaxactError(f"{MANIFEST} describes no space with {json.dumps(described)}")
-
-
-def _dict_from_json(described: Mapping[str, Any]) -> Dict:
-    return Dict({name: space_from_json(part) for name, part in described["spaces"].items()})
+    for name, (_, expected) in entry["files"].items():
+        file = path / entry["name"] / name
+        if _checksum(file) != expected:
+            raise JaxactError(f"{file} was altered: its checksum is not that in {MANIFEST}")
 
 
 def _checksum(path: Path) -> int:

@@ -175,7 +175,10 @@ def _program(pomdp: POMDP, actor: Actor, final: bool) -> tuple[Any, Any]:
                 "terminated": step.terminated,
                 "truncated": step.truncated,
                 "success": step.success,
+                **named_leaves("reward_terms", step.reward_terms),
             }
+            if chosen.policy is not None:
+                rows["policy"] = chosen.policy
             if final:
                 rows |= named_leaves("final_observation", step.observation)
             over = jnp.where(active, step.finished, True)

@@ -106,7 +106,7 @@ def from_minari(
 def to_minari(
     demonstrations: Demonstrations, dataset_id: str, *, author: str | None = None
 ) -> minari.MinariDataset:
-    """Exports demonstrations as a new local Minari data set, without loss.
+    """Exports demonstrations as a new local Minari data set: all but policies and reward terms.
 
     Args:
       demonstrations: with their final observations.

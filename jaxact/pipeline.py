@@ -7,12 +7,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import optax
 
 from jaxact.errors import JaxactError, unknown
 from jaxact.frozen import FrozenMapping
-from jaxact.losses.base import Loss
-from jaxact.schedules import Schedule
+from jaxact.losses.base import Loss, Rewarding
+from jaxact.schedules import Schedule, value_at
 from jaxact.storages.base import Storage
 
 
@@ -52,7 +54,8 @@ class Stage:
         number or a schedule of the stage's steps; None never asks the expert for it.
       stop: ends the stage early.
       overrides: values for this stage of the pipeline's fields, by name.
-      storages: named storages with losses of their own, learnt from after each rollout.
+      storages: named storages with losses of their own, learnt from after each rollout. They take
+        in the rollouts of this stage, not those of stages that do not name them.
       rewards: weight of each named component of the reward in what is learnt (default 1); numbers
         or schedules of the stage's steps. Episodes' returns are reported as the task has them.
       exploration: ε, the probability of an action at random; for models that choose greedily, such
@@ -75,6 +78,15 @@ class Stage:
         for name in self.weights:
             if name not in self.losses:
                 raise unknown("loss in a stage's weights", name, self.losses)
+        for of, storage in self.storages.items():
+            for name, loss in storage.losses.items():
+                rewards = isinstance(self.losses.get(name), Rewarding)
+                if isinstance(loss, Rewarding) and not rewards:
+                    raise JaxactError(
+                        f"{type(loss).__name__} ({name!r}) rewards what is done in rollouts, but "
+                        f"is among the losses of storage {of!r} alone; give the stage's losses "
+                        "one of this name, too"
+                    )
         for name in ("losses", "weights", "overrides", "storages", "rewards"):
             object.__setattr__(self, name, FrozenMapping(getattr(self, name)))
 
@@ -89,6 +101,13 @@ class Stage:
         return self.teacher_forcing is not None or any(
             loss.needs_expert for loss in self.losses.values()
         )
+
+    def weighed_reward(self, terms: Mapping[str, jax.Array], steps: jax.Array) -> jax.Array:
+        """Returns the sum of a reward's named components [T, B], weighed as `rewards` says after so
+        many steps of the stage.
+        """
+        weights = {name: value_at(weight, steps) for name, weight in self.rewards.items()}
+        return sum((weights.get(n, 1.0) * x for n, x in terms.items()), start=jnp.float32(0))
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from jaxact.pomdp import PyTree
 from jaxact.returns import episode_means, generalized_advantages
 from jaxact.rollout import Trajectory, for_each_agent, mean_of_agents, next_values, rollout
 from jaxact.schedules import Schedule, value_at
-from jaxact.storages.base import Storage
+from jaxact.storage_update import learn_from_storage, resumed
 from jaxact.train_state import TrainState, optimizer_for
 
 
@@ -62,6 +62,7 @@ def update(
     metrics: Metrics = {}
     stopped, block = state.stopped[stage_index], state.block[stage_index]
     if stage.acts:
+        state = replace(state, storages=resumed(pipeline, stage_index, state))
         on_policy = gradient_step(stage.losses, stage.weights, "losses")
         state, metrics, episodes = _rollout_update(
             experiment, stage, on_policy, state, progress, axis_name
@@ -70,8 +71,8 @@ def update(
     learnt, storages = state.learnt, dict(state.storages)
     for name, storage in stage.storages.items():
         step = gradient_step(storage.losses, storage.weights, f"losses/{name}")
-        learnt, storages[name], of_storage = _learn_from_storage(
-            step, storage, learnt, storages[name], data.get(name, ()), axis_name
+        learnt, storages[name], of_storage = learn_from_storage(
+            step, stage, storage, learnt, storages[name], data.get(name, ()), axis_name
         )
         metrics = {**of_storage, **metrics}
     metrics["train/learning_rate"] = learning_rate
@@ -190,8 +191,7 @@ def _add_rewards(
     if not own and not stage.rewards:
         return learnt, trajectory, metrics
     terms = {**trajectory.step.reward_terms, **own}
-    weights = {n: value_at(w, progress.stage_steps) for n, w in stage.rewards.items()}
-    reward = sum((weights.get(n, 1.0) * x for n, x in terms.items()), start=jnp.float32(0))
+    reward = stage.weighed_reward(terms, progress.stage_steps)
     step = replace(trajectory.step, reward=reward, reward_terms=terms)
     return replace(learnt, losses=variables), replace(trajectory, step=step), metrics
 
@@ -273,37 +273,6 @@ def _learn_from_rollout(
 
     (learnt, keys), values = jax.lax.scan(epoch, (learnt, batch.key), None, settings.epochs)
     return learnt, keys, dict(zip(names, jnp.mean(values, axis=(0, 1)), strict=True))
-
-
-def _learn_from_storage(
-    gradient_step: GradientStep,
-    storage: Storage,
-    learnt: Learnt,
-    held: PyTree,
-    data: PyTree,
-    axis_name: str | None,
-) -> tuple[Learnt, PyTree, Metrics]:
-    """Gradient steps on a storage's batches; returns what is learnt, its state, mean metrics.
-
-    Until the storage is ready, nothing is learnt and all metrics are zero.
-    """
-    names: tuple[str, ...] = ()
-    ready = storage.ready(held, axis_name)
-
-    def step(carry: tuple[Learnt, PyTree], _: None) -> tuple[tuple[Learnt, PyTree], jax.Array]:
-        nonlocal names
-        learnt, held = carry
-        held, batch = storage.batch(held, data, axis_name)
-        after, metrics, memory, priority = gradient_step(learnt, batch)
-        names = tuple(metrics)
-        held = storage.carry_on(held, memory)
-        if priority is not None:
-            held = storage.reprioritize(held, priority)
-        learnt = jax.tree.map(lambda new, old: jnp.where(ready, new, old), after, learnt)
-        return (learnt, held), jnp.where(ready, stack_metrics(metrics), 0.0)
-
-    (learnt, held), values = jax.lax.scan(step, (learnt, held), None, storage.updates)
-    return learnt, held, dict(zip(names, jnp.mean(values, axis=0), strict=True))
 
 
 def _minibatch_lanes(keys: jax.Array, minibatches: int) -> jax.Array:

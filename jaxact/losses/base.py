@@ -48,6 +48,30 @@ class BurnIn:
     is_first: jax.Array
 
 
+@jax.tree_util.register_static
+@dataclass(frozen=True)
+class Unknown:
+    """Stands in a batch for an array that nobody kept; whoever computes with it is told why.
+
+    (NaN would be no safeguard: of constants that are NaN, XLA makes finite numbers on CPUs.)
+
+    Attributes:
+      why: one sentence.
+    """
+
+    why: str
+
+    def __jax_array__(self) -> jax.Array:
+        raise JaxactError(self.why)
+
+    def __getitem__(self, index: Any) -> Any:
+        raise JaxactError(self.why)
+
+    def __getattr__(self, name: str) -> Any:
+        # What Python and JAX look for to see what an object can do is honestly not there.
+        raise AttributeError(name) if name.startswith("__") else JaxactError(self.why)
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Batch:
@@ -57,7 +81,7 @@ class Batch:
     `jaxact.agents.batch_of_lanes` makes lanes of them; losses see no axis of agents.
 
     What only the policy that acted could tell (log_prob, value, and advantage and returns, which
-    are made from it) is NaN in batches that come from a storage which does not keep it.
+    are made from it) is `Unknown` in batches that come from a storage which does not keep it.
 
     Attributes:
       observation: named sensor readings that the actions answered to.
@@ -156,10 +180,13 @@ class Loss(ABC):
     Attributes:
       needs_expert: whether the expert must be asked at every step.
       needs_rollout: whether it means something only on what the policy itself has just done.
+      needs: names of fields of `Batch` that it reads and that not all storages know: log_prob,
+        reward.
     """
 
     needs_expert: ClassVar[bool] = False
     needs_rollout: ClassVar[bool] = False
+    needs: ClassVar[frozenset[str]] = frozenset()
 
     @property
     def has_variables(self) -> bool:

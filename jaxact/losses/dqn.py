@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -43,6 +43,8 @@ class DQN(Loss):
       target: how the target network follows.
       priority_mix: η.
     """
+
+    needs: ClassVar[frozenset[str]] = frozenset({"reward"})
 
     discount: float = 0.99
     n_step: int = 1

@@ -52,13 +52,18 @@ class SAC(Loss):
     row, so that of each sequence all but the last step are learnt from, and those that were
     truncated are not. The model's own value is not used.
 
+    Whatever the box, actions are reckoned as of the box from −1 to 1: the critics are given those,
+    and entropies are of those, so that the unit that a world measures its actions in means nothing.
+
     Attributes:
       critic: of which there are two; see `Critic`.
       discount: γ.
       temperature: the first α.
-      target_entropy: for each dimension of the action.
+      target_entropy: for each dimension of the action, in nats; of the whole box it is log 2.
       target: how the critics' averages follow.
     """
+
+    needs: ClassVar[frozenset[str]] = frozenset({"reward"})
 
     critic: Critic
     discount: float = 0.99
@@ -106,7 +111,9 @@ class SAC(Loss):
         """Returns the loss and its parts: critic, actor, temperature (α), entropy (−log π), q."""
         del progress
         known = known_transitions(batch.terminated, batch.truncated)
-        action, log_prob = _draw(output.distribution, batch.key)
+        box: Any = output.distribution
+        action, log_prob = _draw(box, batch.key)
+        taken = (batch.action - box.centre) / box.half
         own = variables["params"]
         log_temperature = own["log_temperature"]
         temperature = jax.lax.stop_gradient(jnp.exp(log_temperature))
@@ -114,7 +121,7 @@ class SAC(Loss):
         soft = self._least(variables["target"], batch.observation, action) - temperature * log_prob
         after = jnp.where(batch.terminated, 0.0, jnp.roll(soft, -1, axis=0))
         target = jax.lax.stop_gradient(batch.reward + self.discount * after)
-        chosen = self._values(own, batch.observation, batch.action)
+        chosen = self._values(own, batch.observation, taken)
         errors = jnp.square(chosen[0] - target) + jnp.square(chosen[1] - target)
         critic = 0.5 * batch.mean(errors, where=known)
 
@@ -140,5 +147,10 @@ class SAC(Loss):
 
 
 def _draw(distribution: Any, keys: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Draws actions [T, B, D], by a key of each lane's own [B], and their log-probabilities."""
-    return jax.vmap(lambda d, key: d.sample_with_log_prob(key), (1, 0), 1)(distribution, keys)
+    """Draws actions [T, B, D] of the box from −1 to 1, by a key of each lane's own [B], and returns
+    their log-densities there.
+    """
+    draw = jax.vmap(lambda d, key: d.sample_with_log_prob(key), (1, 0), 1)
+    action, log_prob = draw(distribution, keys)
+    unit = (action - distribution.centre) / distribution.half
+    return unit, log_prob + jnp.sum(jnp.log(distribution.half), axis=-1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +31,8 @@ class VTrace(Loss):
       lambda_: λ.
       clip: the greatest ratio of probabilities.
     """
+
+    needs: ClassVar[frozenset[str]] = frozenset({"log_prob", "reward"})
 
     value: float = 0.5
     entropy: float | Schedule = 0.01

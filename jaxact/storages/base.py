@@ -5,14 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 
 from jaxact.errors import JaxactError, unknown
 from jaxact.frozen import FrozenMapping
-from jaxact.losses.base import Batch, Loss
+from jaxact.losses.base import Batch, Loss, Unknown
 from jaxact.pomdp import POMDP, PyTree
 from jaxact.rollout import Trajectory
 from jaxact.schedules import Schedule
@@ -32,7 +32,10 @@ class Storage(ABC):
       updates: gradient steps after each rollout, each on a new batch.
       lanes: sequences side by side in a batch, over all devices.
       length: steps of each.
+      keeps: names of fields of `Batch` that its batches have, of those that not all have.
     """
+
+    keeps: ClassVar[frozenset[str]] = frozenset({"reward"})
 
     losses: Mapping[str, Loss]
     weights: Mapping[str, float | Schedule] = field(default_factory=dict)
@@ -48,6 +51,14 @@ class Storage(ABC):
                 raise JaxactError(
                     f"{type(loss).__name__} ({name!r}) learns from what the policy has just done, "
                     f"and cannot be among the losses of a {type(self).__name__}"
+                )
+            needs = loss.needs | ({"expert"} if loss.needs_expert else set())
+            for field_name in sorted(needs - self.keeps):
+                others = [x.__name__ for x in _kinds(Storage) if field_name in x.keeps]
+                raise JaxactError(
+                    f"{type(loss).__name__} ({name!r}) needs {field_name!r}, which a "
+                    f"{type(self).__name__} does not keep; the stage's own rollout has it"
+                    + "".join(f", and a {other}" for other in others)
                 )
         for name in self.weights:
             if name not in self.losses:
@@ -110,6 +121,17 @@ class Storage(ABC):
         del trajectory, memory
         return state
 
+    def interrupt(self, state: PyTree, interrupted: jax.Array) -> PyTree:
+        """Hears, before `add`, whether there were rollouts that it was not given since the last
+        one; returns the state with a break there, by default unchanged.
+
+        Args:
+          state: of the storage.
+          interrupted: bool scalar.
+        """
+        del interrupted
+        return state
+
     def ready(self, state: PyTree, axis_name: str | None) -> jax.Array:
         """Returns a bool scalar: whether there is enough to learn from; by default always."""
         del state, axis_name
@@ -129,3 +151,12 @@ class Storage(ABC):
         """
         del priority
         return state
+
+    def not_kept(self, name: str) -> Any:
+        """Returns what stands in a batch for a field that is not kept."""
+        return Unknown(f"a loss asks for {name!r}, which a {type(self).__name__} does not keep")
+
+
+def _kinds(kind: Any) -> list[Any]:
+    """Returns a class and all that are derived from it."""
+    return [kind, *(one for derived in kind.__subclasses__() for one in _kinds(derived))]

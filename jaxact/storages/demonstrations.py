@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -20,12 +20,16 @@ class DemonstrationStorage(Storage):
     """Whole episodes recorded by `python -m jaxact.collect`, window after window.
 
     Each lane plays through one episode after the other, and the model's memory is carried from
-    window to window; no episode is seen twice before all have been seen. In its batches `expert`
-    is what was done, not valid where the recorded expert abstained.
+    window to window; no episode begins a second time before all have begun. In its batches `expert`
+    is what was done, not valid where the recorded expert abstained, with its whole policy if that
+    was recorded. Their reward is that of the world, with the components weighed as `Stage.rewards`
+    says; losses' own rewards are for rollouts.
 
     Attributes:
       path: the directory of the recording.
     """
+
+    keeps: ClassVar[frozenset[str]] = frozenset({"reward", "expert"})
 
     path: str
 
@@ -44,24 +48,23 @@ class DemonstrationStorage(Storage):
 
     def batch(self, state: PyTree, data: PyTree, axis_name: str | None) -> tuple[PyTree, Batch]:
         """Returns the next window of every lane."""
-        windows, cursor = next_windows(data, state["cursor"], self.length)
+        windows, cursor = next_windows(data, state["cursor"], self.length, axis_name)
         keys, draws = jnp.moveaxis(jax.vmap(jax.random.split)(state["key"]), 1, 0)
-        unknown = jnp.full(windows.reward.shape, jnp.nan, jnp.float32)
         batch = Batch(
             observation=windows.observation,
             previous_action=windows.previous_action,
             is_first=windows.is_first,
             memory=state["memory"],
             action=windows.expert.action,
-            log_prob=unknown,
-            value=unknown,
+            log_prob=self.not_kept("log_prob"),
+            value=self.not_kept("value"),
             reward=windows.reward,
-            reward_terms={},
+            reward_terms=windows.reward_terms,
             terminated=windows.terminated,
             truncated=windows.truncated,
-            advantage=unknown,
-            normalized_advantage=unknown,
-            returns=unknown,
+            advantage=self.not_kept("advantage"),
+            normalized_advantage=self.not_kept("normalized_advantage"),
+            returns=self.not_kept("returns"),
             expert=windows.expert,
             key=draws,
             axis_name=axis_name,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxact.errors import JaxactError
 from jaxact.losses.base import Batch, BurnIn
 from jaxact.pomdp import POMDP, PyTree
-from jaxact.rollout import Trajectory
+from jaxact.rollout import Trajectory, select
 from jaxact.storages.base import Storage
 
 
@@ -72,12 +72,17 @@ class Replay(Storage):
     known of what the step before a truncation led to, and losses leave such steps out; to take them
     for terminal would be wrong.
 
+    Where stages in between had rollouts without the replay, what it holds breaks off as by a
+    truncation, and what comes after begins as an episode does.
+
     Attributes:
       capacity: steps held of each lane.
       burn_in: steps before those to learn from.
       stride: steps between the beginnings of sequences.
       start_after: steps, over all lanes, to be taken before learning begins.
     """
+
+    keeps: ClassVar[frozenset[str]] = frozenset({"reward", "log_prob"})
 
     capacity: int
     burn_in: int = 0
@@ -149,10 +154,16 @@ class Replay(Storage):
             raise JaxactError(
                 f"a replay of {self.capacity} steps of each lane cannot hold a rollout of {length}"
             )
+        last = (state.taken[0] - 1) % self.capacity
+        ended = state.steps.terminated[:, last] | state.steps.truncated[:, last]
+        broken = ended & ~trajectory.is_first[0]
         new = Transitions(
             observation=trajectory.observation,
-            previous_action=trajectory.previous_action,
-            is_first=trajectory.is_first,
+            previous_action=jax.tree.map(
+                lambda x: x.at[0].set(select(broken, jnp.zeros_like(x[0]), x[0])),
+                trajectory.previous_action,
+            ),
+            is_first=trajectory.is_first.at[0].set(trajectory.is_first[0] | broken),
             action=trajectory.action,
             log_prob=trajectory.log_prob,
             reward=step.reward,
@@ -174,6 +185,14 @@ class Replay(Storage):
 
         kept = jax.tree.map(keep, state.memory, memory, trajectory.memory)
         return replace(state, taken=state.taken + length, steps=steps, memory=kept)
+
+    def interrupt(self, state: PyTree, interrupted: jax.Array) -> Rings:
+        """Returns rings whose last step is truncated if it was not the end of its episode."""
+        last = (state.taken[0] - 1) % self.capacity
+        steps = state.steps
+        cut = steps.truncated[:, last] | (interrupted & ~steps.terminated[:, last])
+        truncated = steps.truncated.at[:, last].set(cut)
+        return replace(state, steps=replace(steps, truncated=truncated))
 
     def ready(self, state: Rings, axis_name: str | None) -> jax.Array:
         """Returns whether `start_after` steps were taken, and there is a sequence to draw."""
@@ -259,7 +278,6 @@ class Replay(Storage):
             jax.tree.map(lambda x, part=part: x[part], held)
             for part in (slice(self.burn_in), slice(self.burn_in, None))
         )
-        unknown = jnp.full(late.reward.shape, jnp.nan, jnp.float32)
         burn_in = None
         if self.burn_in:
             burn_in = BurnIn(early.observation, early.previous_action, early.is_first)
@@ -270,14 +288,14 @@ class Replay(Storage):
             memory=jax.tree.map(lambda x: x[ring, slot], state.memory),
             action=late.action,
             log_prob=late.log_prob,
-            value=unknown,
+            value=self.not_kept("value"),
             reward=late.reward,
             reward_terms=late.reward_terms,
             terminated=late.terminated,
             truncated=late.truncated,
-            advantage=unknown,
-            normalized_advantage=unknown,
-            returns=unknown,
+            advantage=self.not_kept("advantage"),
+            normalized_advantage=self.not_kept("normalized_advantage"),
+            returns=self.not_kept("returns"),
             expert=None,
             key=keys,
             axis_name=axis_name,

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +20,7 @@ from jaxact.models import GRU, ActorCritic, Concatenated, Vector
 from jaxact.pomdp import ExpertAction
 from jaxact.train_state import make_key
 from tests.corridor import ReachEnd, corridor
+from tests.jaxact.test_demonstrations import flip
 from tests.tiny import Undemonstrated
 
 LENGTH, HORIZON = 16, 12
@@ -31,7 +33,8 @@ class Hesitant(ReachEnd):
 
     def expert(self, key, task_state, state):
         advice = super().expert(key, task_state, state)
-        return ExpertAction(advice.action, state % 3 != 0)
+        policy = 0.25 + 0.5 * jax.nn.one_hot(advice.action, 2, dtype=jnp.float32)
+        return ExpertAction(advice.action, state % 3 != 0, policy)
 
 
 POMDP = dataclasses.replace(corridor(LENGTH, HORIZON), task=Hesitant())
@@ -100,6 +103,11 @@ def test_episode_k_is_recorded_if_k_is_below_n(recorded, simulated):
         np.testing.assert_array_equal(episode["valid"], valid[k, :n])
         for name in ("reward", "terminated", "truncated", "success"):
             np.testing.assert_array_equal(episode[name], getattr(step, name)[k, :n])
+        for name, term in step.reward_terms.items():
+            np.testing.assert_array_equal(episode[f"reward_terms.{name}"], term[k, :n])
+        agrees = episode["policy"].argmax(axis=1) == episode["action"]
+        assert agrees[episode["valid"]].all()
+        np.testing.assert_array_equal(np.sort(episode["policy"], axis=1), [[0.25, 0.75]] * n)
         final = step.observation["vector"][k, n - 1]
         np.testing.assert_array_equal(episode["final_observation.vector"], final)
 
@@ -212,11 +220,21 @@ def test_a_finished_set_is_left_alone(tmp_path):
     assert before == {x: x.stat().st_mtime_ns for x in (tmp_path / "set").rglob("*")}
 
 
+def test_an_altered_shard_is_seen_when_recording_goes_on(recorded, tmp_path):
+    copied = shutil.copytree(recorded.path, tmp_path / "set")
+    flip(copied / "shard-00001" / "action.npy")
+    with pytest.raises(JaxactError, match=r"shard-00001.action.npy was altered: its checksum is"):
+        record(copied)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"seed": 1}, "holds other demonstrations: its seed is 0, but 1 was asked for"),
-        ({"episodes": 60}, "holds other demonstrations: its settings is .*; choose another"),
+        (
+            {"episodes": 60},
+            "other demonstrations: its settings is {'episodes': 50}, but {'episodes': 60} was",
+        ),
         ({"final_observations": False}, "its final observations is True, but False was asked for"),
     ],
 )
@@ -273,6 +291,8 @@ def test_the_manifest_says_what_it_is_of(recorded):
         "shape": [2 * LENGTH],
         "dtype": "float32",
     }
+    assert manifest["reward_terms"] == ["step", "success"]
+    assert manifest["expert_policy"]
     assert sum(shard["steps"] for shard in manifest["shards"]) == manifest["steps"]
     recorded.verify()
 

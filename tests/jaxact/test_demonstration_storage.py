@@ -1,15 +1,27 @@
 """Training from recorded demonstrations, alone and beside rollouts."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxact import JaxactError, Stage, evaluate_policy, train
+from jaxact import (
+    Experiment,
+    JaxactError,
+    Stage,
+    TrainingPipeline,
+    evaluate_policy,
+    make_train,
+    train,
+)
 from jaxact.collect import collect
-from jaxact.losses import A2C, Imitation
-from jaxact.storages import DemonstrationStorage
+from jaxact.losses import A2C, Imitation, Loss, VTrace
+from jaxact.models import ActorCritic, Concatenated, NoMemory, Vector
+from jaxact.storages import DemonstrationStorage, Replay
+from jaxact.train_state import make_key
 from tests.corridor import corridor
 from tests.tiny import OPTIONS, UPDATE, assert_same, experiment
 
@@ -23,10 +35,19 @@ def path(tmp_path_factory):
     return str(directory)
 
 
+@dataclass(frozen=True)
+class Rewarded(Loss):
+    """Tells what it sees of the reward."""
+
+    needs: ClassVar[frozenset[str]] = frozenset({"reward"})
+
+    def __call__(self, output, batch, progress):
+        return jnp.mean(output.value), {"reward": batch.mean(batch.reward)}
+
+
 def storage(path, **fields):
-    return DemonstrationStorage(
-        losses={"imitation": Imitation()}, path=path, **{"lanes": 8, "length": 8} | fields
-    )
+    defaults = {"losses": {"imitation": Imitation()}, "lanes": 8, "length": 8}
+    return DemonstrationStorage(path=path, **defaults | fields)
 
 
 def test_what_was_demonstrated_is_learnt_without_ever_acting(path):
@@ -68,14 +89,43 @@ def test_of_another_world_or_not_there(path):
         train(experiment(stages=(missing,)), evaluation_episodes=0, progress=False)
 
 
-def test_what_nobody_knows_of_demonstrations_is_nan(path):
+def test_what_nobody_knows_of_demonstrations_cannot_be_used(path):
     held = storage(path)
     pomdp, model = corridor(), experiment().model
     data = held.load(pomdp)
     state = held.init(pomdp, model, jax.random.split(jax.random.key(0), 8), data)
     _, batch = jax.jit(lambda state, data: held.batch(state, data, None))(state, data)
-    for unknown in (batch.log_prob, batch.value, batch.advantage, batch.returns):
-        assert unknown.shape == (8, 8)
-        assert np.isnan(np.asarray(unknown)).all()
+    for name in ("log_prob", "value", "advantage", "normalized_advantage", "returns"):
+        for use in (jnp.exp, lambda x: jnp.zeros(3) - x, lambda x: x[1:], lambda x: x.shape):
+            with pytest.raises(JaxactError, match=f"asks for '{name}', which a Demonstration"):
+                use(getattr(batch, name))
     assert np.asarray(batch.is_first)[0].all()
     assert np.asarray(batch.expert.valid).all()
+
+
+def test_losses_that_need_what_is_not_kept_are_refused():
+    with pytest.raises(JaxactError, match=r"VTrace \('v'\) needs 'log_prob', which a De.*Replay"):
+        DemonstrationStorage(losses={"v": VTrace()}, path="anywhere")
+    with pytest.raises(JaxactError, match=r"Imitation .*'expert', which a Replay .*Demonstration"):
+        Replay(losses={"imitation": Imitation()}, capacity=64)
+
+
+def test_stages_weigh_the_components_of_the_reward(path):
+    """On the disk they are apart; where they are not, the reward cannot be used."""
+    pomdp = corridor()
+    model = ActorCritic(pomdp.action_space, Concatenated({"vector": Vector((4,))}), NoMemory())
+    held = storage(path, losses={"seen": Rewarded()})
+    stage = Stage({}, 2 * held.steps, storages={"d": held}, rewards={"success": 5.0, "step": 0.0})
+    run = make_train(Experiment("weighed", pomdp, model, TrainingPipeline((stage,), lanes=8)))
+    data = held.load(pomdp)
+    terms = data.reward_terms
+    np.testing.assert_allclose(terms["success"] + terms["step"], data.reward)
+
+    _, metrics = jax.jit(run)(make_key(0), {}, {"d": data})
+    seen = np.asarray(metrics["losses/d/seen/reward"])
+    # In 64 steps so many episodes succeed, each with five for its success and nothing besides.
+    np.testing.assert_array_equal(seen * 64 % 5, 0)
+    assert (seen > 0.5).all()
+    bare = {"d": replace(data, reward_terms={})}
+    with pytest.raises(JaxactError, match=r"Rewarded .* needs the reward, .* \(success, step\)"):
+        jax.eval_shape(run, make_key(0), {}, bare)

@@ -1,5 +1,7 @@
 """Lanes that stream through recorded episodes: every episode once an epoch, whole and in order."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -47,10 +49,9 @@ def order(windows):
     ]
 
 
-def by_place(lanes_orders):
-    """The episodes at places 0, 1, 2, …, as far as all lanes have come."""
-    shortest = min(map(len, lanes_orders))
-    return np.stack([episodes[:shortest] for episodes in lanes_orders], axis=1).reshape(-1)
+def in_time(windows):
+    """The episodes in the order in which they began; at the same step, that of the lanes."""
+    return windows.episode[windows.is_first]
 
 
 RANDOM = np.random.default_rng(0)
@@ -98,11 +99,20 @@ def test_previous_actions_are_zeros_at_first_and_cross_windows():
     assert (windows.previous_action["hand"][7::7] > 0).any()
 
 
-@pytest.mark.parametrize(("episodes", "lanes"), [(12, 4), (37, 8), (3, 16)])
-def test_each_epoch_has_every_episode_once(episodes, lanes):
-    recorded = data(RANDOM.integers(1, 4, episodes))
-    windows = stream(recorded, lanes, length=16, count=4 + 40 * episodes // lanes // 16)
-    served = by_place(order(windows))
+@pytest.mark.parametrize(
+    ("episodes", "lanes", "lengths"),
+    [
+        (12, 4, lambda n: RANDOM.integers(1, 4, n)),
+        # One in ten is twenty times as long as the others.
+        (100, 8, lambda n: np.where(np.arange(n) % 10 == 0, 40, 2)),
+        (101, 8, lambda n: np.minimum(RANDOM.geometric(0.2, n), 64)),
+        (3, 16, lambda n: RANDOM.integers(1, 4, n)),
+    ],
+)
+def test_no_episode_begins_again_before_all_have_begun(episodes, lanes, lengths):
+    recorded = data(lengths(episodes))
+    steps = 4 * len(recorded.reward) + 16 * lanes
+    served = in_time(stream(recorded, lanes, length=16, count=-(-steps // (16 * lanes))))
     epochs = len(served) // episodes
     assert epochs >= 3
     epochs = served[: epochs * episodes].reshape(epochs, episodes)
@@ -116,20 +126,30 @@ def test_each_epoch_has_every_episode_once(episodes, lanes):
 
 def test_seeds_give_different_orders():
     recorded = data(LENGTHS["random"])
-    one, again, other = (by_place(order(stream(recorded, 4, 8, 10, seed))) for seed in (0, 0, 1))
+    one, again, other = (in_time(stream(recorded, 4, 8, 10, seed)) for seed in (0, 0, 1))
     np.testing.assert_array_equal(one, again)
     assert not np.array_equal(one[:20], other[:20])
 
 
 def test_lanes_may_be_shared_out():
-    """Each share of the lanes is served what it is served among all of them."""
+    """Each device's share of the lanes is served what it is served among all of them."""
     recorded = data(LENGTHS["random"])
     cursor = start_cursor(recorded.episodes, 8, jax.random.key(0))
-    together = stream(recorded, 8, 8, 1)
-    share = jax.tree.map(lambda x: x[4:], cursor)
-    assert share.lanes == 8
-    alone, _ = advance(recorded, share, 8)
-    jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[:, 4:], b), together, alone)
+    shares = jax.tree.map(lambda x: x.reshape(2, 4), cursor)
+
+    @jax.jit
+    @partial(jax.vmap, axis_name="devices")
+    def two_windows(share):
+        first, share = next_windows(recorded, share, 8, "devices")
+        second, _ = next_windows(recorded, share, 8, "devices")
+        return jax.tree.map(lambda *x: jnp.concatenate(x), first, second)
+
+    def side_by_side(x):
+        return np.concatenate(x, axis=1)
+
+    together = stream(recorded, 8, 8, 2)
+    apart = jax.tree.map(side_by_side, two_windows(shares))
+    jax.tree.map(np.testing.assert_array_equal, together, apart)
 
 
 def test_the_length_of_windows_changes_nothing():

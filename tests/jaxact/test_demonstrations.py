@@ -9,16 +9,17 @@ import numpy as np
 import pytest
 
 from jaxact import JaxactError
+from jaxact.demonstration_spaces import space_from_json, space_to_json
 from jaxact.demonstration_writer import DemonstrationWriter
 from jaxact.demonstrations import (
     MANIFEST,
     Demonstrations,
     Description,
-    space_from_json,
-    space_to_json,
+    world_parts,
 )
 from jaxact.spaces import Box, Dict, Discrete, Tuple
-from tests.corridor import CellAndGoal, corridor
+from tests.corridor import CellAndGoal, ReachEnd, corridor
+from tests.tiny import Undemonstrated
 
 OBSERVATIONS = Dict(
     {
@@ -28,7 +29,9 @@ OBSERVATIONS = Dict(
     }
 )
 ACTIONS = Dict({"arm": Box(-1, 1, (2,)), "hand": Tuple((Discrete(2), Discrete(3)))})
-DESCRIPTION = Description("a world", {"kind": "expert"}, 0, ACTIONS, OBSERVATIONS, True)
+DESCRIPTION = Description(
+    "a world", {"kind": "expert"}, 0, ACTIONS, OBSERVATIONS, True, ("step", "goal.reached")
+)
 SHARDS = ((3, 1, 4), (2, 5))
 
 
@@ -89,6 +92,11 @@ def test_loading_joins_the_shards(written):
     assert loaded.final_observation is not None
     final = loaded.final_observation["vector"]
     np.testing.assert_array_equal(final, joined("final_observation.vector"))
+    assert list(loaded.reward_terms) == ["step", "goal.reached"]
+    np.testing.assert_array_equal(
+        loaded.reward_terms["goal.reached"], joined("reward_terms.goal.reached")
+    )
+    assert loaded.policy is None
     assert jax.tree.structure(loaded.action) == jax.tree.structure(ACTIONS.structure)
 
 
@@ -154,8 +162,22 @@ def test_damage_is_seen_on_opening(copied, file, damage, message):
 def test_altered_contents_are_seen_by_verify(copied):
     flip(copied / "shard-00001" / "reward.npy")
     opened = Demonstrations(copied)
-    with pytest.raises(JaxactError, match=r"reward.npy was altered: its checksum is not that in"):
-        opened.verify()
+    for look in (opened.verify, opened.load):
+        with pytest.raises(JaxactError, match=r"shard-00001.reward.npy was altered: its check"):
+            look()
+
+
+def test_what_was_written_in_the_first_format_is_read(tmp_path):
+    writer = DemonstrationWriter(tmp_path, dataclasses.replace(DESCRIPTION, reward_terms=()))
+    writer.write(shard((3, 2), 0), 0)
+    writer.finish()
+    manifest = json.loads((tmp_path / MANIFEST).read_text())
+    first = {name: manifest[name] for name in manifest.keys() - {"reward_terms", "expert_policy"}}
+    (tmp_path / MANIFEST).write_text(json.dumps(first | {"format": 1}))
+    loaded = Demonstrations(tmp_path).load()
+    assert (loaded.episodes, loaded.reward_terms, loaded.policy) == (2, {}, None)
+    with pytest.raises(JaxactError, match="its format is 1, but 2 was asked for; choose another"):
+        DemonstrationWriter(tmp_path, dataclasses.replace(DESCRIPTION, reward_terms=()))
 
 
 def test_episodes_have_to_end_where_it_is_said(tmp_path):
@@ -169,7 +191,12 @@ def test_episodes_have_to_end_where_it_is_said(tmp_path):
 def test_another_worlds_spaces(tmp_path):
     pomdp = corridor()
     description = Description(
-        "corridor", {"kind": "expert"}, 0, pomdp.action_space, pomdp.observation_space
+        "corridor",
+        {"kind": "expert"},
+        0,
+        pomdp.action_space,
+        pomdp.observation_space,
+        settings={"world_parts": world_parts(pomdp)},
     )
     writer = DemonstrationWriter(tmp_path, description)
     arrays = {n: np.zeros((1, *x.shape), x.dtype) for n, x in description.fields().items()}
@@ -177,6 +204,14 @@ def test_another_worlds_spaces(tmp_path):
     opened = writer.finish()
     opened.check(pomdp)
     assert opened.load(pomdp).episodes == 1
+    elsewhere = dataclasses.replace(pomdp, sampler=corridor(horizon=3).sampler)
+    opened.check(elsewhere)
+    poorer = dataclasses.replace(elsewhere, task=ReachEnd(step_penalty=-1.0))
+    with pytest.warns(UserWarning, match=r"another world .* task \(ReachEnd with other set"):
+        opened.check(poorer)
+    silent = dataclasses.replace(elsewhere, task=Undemonstrated())
+    with pytest.warns(UserWarning, match=r"another task \(ReachEnd, here Undemonstrated\): what"):
+        opened.check(silent)
     with pytest.raises(JaxactError, match=r"observation 'vector' of .*shape=.12,.*shape=.16,"):
         opened.check(corridor(8))
     other = dataclasses.replace(pomdp, sensors={"vectr": CellAndGoal()})
@@ -195,5 +230,8 @@ def test_what_the_format_cannot_hold():
     with pytest.raises(JaxactError, match=r"observation.x has dtype bfloat16, which .npy"):
         narrow.fields()
 
+    soft = dataclasses.replace(DESCRIPTION, expert_policy=True)
+    with pytest.raises(JaxactError, match="policy is of discrete actions, not of Dict"):
+        soft.fields()
     with pytest.raises(JaxactError, match="cannot be recorded with a space like None"):
         space_to_json(None)

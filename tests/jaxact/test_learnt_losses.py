@@ -1,6 +1,7 @@
 """Losses with variables and rewards of their own, weights of rewards, and stages with storages."""
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -46,6 +47,8 @@ class Novelty(Loss):
 class Rightwards(Storage):
     """Hand-made demonstrations: in every cell, to the right; counts its batches."""
 
+    keeps: ClassVar[frozenset[str]] = frozenset({"expert"})
+
     def load(self, pomdp):
         return jnp.eye(12, dtype=jnp.float32)
 
@@ -60,7 +63,6 @@ class Rightwards(Storage):
         lanes = state["key"].shape[0]
         shape = (self.length, lanes)
         cell = (jnp.arange(self.length, dtype=jnp.int32)[:, None] + state["batches"]) % 6
-        unknown = jnp.full(shape, jnp.nan, jnp.float32)
         action = jnp.ones(shape, jnp.int32)
         batch = Batch(
             observation={"vector": data[cell]},
@@ -68,15 +70,15 @@ class Rightwards(Storage):
             is_first=jnp.zeros(shape, bool).at[0].set(state["batches"] == 0),
             memory=state["memory"],
             action=action,
-            log_prob=unknown,
-            value=unknown,
+            log_prob=self.not_kept("log_prob"),
+            value=self.not_kept("value"),
             reward=jnp.zeros(shape, jnp.float32),
             reward_terms={},
             terminated=jnp.zeros(shape, bool),
             truncated=jnp.zeros(shape, bool),
-            advantage=unknown,
-            normalized_advantage=unknown,
-            returns=unknown,
+            advantage=self.not_kept("advantage"),
+            normalized_advantage=self.not_kept("normalized_advantage"),
+            returns=self.not_kept("returns"),
             expert=ExpertAction(action, jnp.ones(shape, bool)),
             key=state["key"],
             axis_name=axis_name,

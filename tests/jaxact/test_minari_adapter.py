@@ -19,6 +19,8 @@ def write(path, **changes):
     """Demonstrations of the two shards; observations have names that HDF5 can do with."""
     spaces = {NAMES.get(name, name): space for name, space in OBSERVATIONS.spaces.items()}
     space = dataclasses.replace(OBSERVATIONS, spaces=spaces)
+    # Minari has no place for the reward's components.
+    changes = {"reward_terms": ()} | changes
     description = dataclasses.replace(DESCRIPTION, observation_space=space, **changes)
     writer = DemonstrationWriter(path, description)
     for number, lengths in enumerate(SHARDS):

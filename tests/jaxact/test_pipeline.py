@@ -3,7 +3,10 @@
 import pytest
 
 from jaxact import EarlyStopping, JaxactError, Stage, TrainingPipeline
-from jaxact.losses import PPO, Imitation
+from jaxact.losses import PPO, Curiosity, Imitation
+from jaxact.models import Concatenated
+from jaxact.spaces import Discrete
+from jaxact.storages import Replay
 
 
 def stage(steps=1000, **fields):
@@ -68,3 +71,12 @@ def test_pipelines_can_be_hashed_and_compared():
     one, other = (TrainingPipeline((stage(weights={"ppo": 2.0}),)) for _ in range(2))
     assert one == other
     assert hash(one) == hash(other)
+
+
+def test_losses_that_reward_are_not_in_storages_alone():
+    curiosity = Curiosity(action_space=Discrete(2), encoder=Concatenated({}))
+    held = {"replay": Replay(losses={"curiosity": curiosity}, capacity=64)}
+    with pytest.raises(JaxactError, match=r"Curiosity .* of storage 'replay' alone; give the"):
+        stage(storages=held)
+    both = {"ppo": PPO(), "curiosity": curiosity}
+    assert Stage(both, steps=1, storages=held).storages["replay"].losses["curiosity"] == curiosity

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -325,6 +326,19 @@ def test_sac_is_the_formulas():
     assert float(parts["critic"]) == pytest.approx(critic, rel=1e-3)
     assert float(parts["actor"]) == pytest.approx(actor, rel=1e-3)
     assert float(total) == pytest.approx(critic + actor + temperature, rel=1e-3)
+
+
+@pytest.mark.parametrize(("centre", "half"), [(0.0, 0.1), (3.0, 20.0)])
+def test_to_sac_the_unit_of_actions_means_nothing(centre, half):
+    _, loss, batch, (mean, log_std), variables = sac_inputs()
+
+    def total(mean, centre, half):
+        box = SquashedNormal(mean, log_std, jnp.full_like(mean, centre), jnp.full_like(mean, half))
+        moved = dataclasses.replace(batch, action=centre + half * batch.action)
+        return loss(ActorCriticOutput(box, jnp.zeros((T, B))), moved, PROGRESS, variables)[0]
+
+    value = jax.jit(jax.value_and_grad(total))
+    chex.assert_trees_all_close(value(mean, 0.0, 1.0), value(mean, centre, half), rtol=2e-3)
 
 
 def test_sac_teaches_each_part_by_its_own_term():

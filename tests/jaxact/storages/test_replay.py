@@ -124,7 +124,8 @@ def test_exactly_the_sequences_wholly_held_are_drawn(kind, stride, length, times
     assert set(batch.reward_terms) == {"success", "step"}
     # The memory is that before the first step, also where rollouts meet.
     np.testing.assert_array_equal(batch.memory, memory_before(jnp.asarray(x[0])))
-    assert np.isnan(batch.value).all()
+    with pytest.raises(JaxactError, match=r"asks for 'value', which a (Prioritized)?Replay does"):
+        jnp.exp(batch.value)
 
 
 def test_the_burn_in_comes_before_what_is_learnt():
