@@ -4,8 +4,18 @@ from envs_jax import houses as houses
 from envs_jax import lighthouse as lighthouse
 from envs_jax import minigrid as minigrid
 from envs_jax import poisoned_doors as poisoned_doors
+from envs_jax import social as social
 from envs_jax.registry import ids as ids
 from envs_jax.registry import make as make
 from envs_jax.registry import register as register
 
-__all__ = ["houses", "ids", "lighthouse", "make", "minigrid", "poisoned_doors", "register"]
+__all__ = [
+    "houses",
+    "ids",
+    "lighthouse",
+    "make",
+    "minigrid",
+    "poisoned_doors",
+    "register",
+    "social",
+]

@@ -16,7 +16,7 @@ from jaxact.caching import cached_by_identity
 from jaxact.compaction import anywhere
 from jaxact.policy import Policy
 from jaxact.pomdp import POMDP, Listed, PyTree, State
-from jaxact.rollout import select
+from jaxact.rollout import mean_of_agents, select
 from jaxact.statistics import confidence_interval, mean_interval
 from jaxact.train_state import make_key
 
@@ -33,9 +33,10 @@ class Evaluation:
 
     Attributes:
       success: bool.
-      episode_return: float32, sum of rewards.
+      episode_return: float32, sum of rewards; of several agents the mean.
       length: int32, steps.
-      metrics: named float32 task metrics at the episode's end, and components of the return.
+      metrics: named float32 task metrics at the episode's end, and components of the return; the
+        return of each of several agents.
       kinds: bool by name, of which of the sampler's kinds the episode was.
     """
 
@@ -194,7 +195,7 @@ def _expert_player(pomdp: POMDP) -> Player:
 
 
 def _player(pomdp: POMDP, actor: Actor) -> Player:
-    held_out = pomdp.sampler.held_out
+    held_out, agents = pomdp.sampler.held_out, pomdp.num_agents
 
     def play_episodes(params: PyTree, beginnings: jax.Array, step_keys: jax.Array) -> _Play:
         lanes = beginnings.shape[0]
@@ -203,6 +204,7 @@ def _player(pomdp: POMDP, actor: Actor) -> Player:
         _, shape = jax.eval_shape(jax.vmap(pomdp.step), step_keys, state, action)
         zeros = jnp.zeros(lanes, jnp.float32)
         names = [f"task/{n}" for n in shape.metrics] + [f"reward/{n}" for n in shape.reward_terms]
+        names += [f"agents/{i}/return" for i in range(agents) if agents > 1]
         first = _Play(
             state=state,
             observation=observation,
@@ -222,14 +224,18 @@ def _player(pomdp: POMDP, actor: Actor) -> Player:
             state, step = jax.vmap(pomdp.step)(world_keys, play.state, chosen.action)
             metrics = {f"task/{n}": x for n, x in step.metrics.items()}
             for name, reward in step.reward_terms.items():
-                metrics[f"reward/{name}"] = play.metrics[f"reward/{name}"] + reward
+                total = play.metrics[f"reward/{name}"]
+                metrics[f"reward/{name}"] = total + mean_of_agents(reward, 1)
+            for i in range(agents) if agents > 1 else ():
+                name = f"agents/{i}/return"
+                metrics[name] = play.metrics[name] + step.reward[:, i]
             after = _Play(
                 state=state,
                 observation=step.observation,
                 memory=memory,
                 done=step.finished,
                 success=step.success,
-                episode_return=play.episode_return + step.reward,
+                episode_return=play.episode_return + mean_of_agents(step.reward, 1),
                 length=state.steps,
                 metrics=metrics,
                 kinds=play.kinds,

@@ -11,6 +11,7 @@ from jaxact.errors import JaxactError, unknown
 from jaxact.losses.base import Rewarding
 from jaxact.pipeline import Stage, TrainingPipeline
 from jaxact.pomdp import POMDP
+from jaxact.spaces import Agents
 from jaxact.storages.base import Storage
 
 
@@ -38,6 +39,7 @@ class Experiment:
             overrides that name nothing.
         """
         pipeline = self.pipeline
+        self._check_agents()
         for index, stage in enumerate(pipeline.stages):
             settings = pipeline.at(stage)
             where = f"stage {index}"
@@ -64,6 +66,20 @@ class Experiment:
                     f"{where} imitates or forces an expert, but "
                     f"{type(self.pomdp.task).__name__} has no method expert(key, task_state, state)"
                 )
+
+    def _check_agents(self) -> None:
+        space = self.pomdp.action_space
+        of_model = getattr(self.model, "action_space", space)
+        if isinstance(space, Agents) and of_model != space:
+            raise JaxactError(
+                f"the world is one of {space.count} agents with the action space {space}, but the "
+                f"model {type(self.model).__name__} is for {of_model}: use AgentsActorCritic, or a "
+                "model that sees the axis of agents as it does, with the world's action space"
+            )
+        if isinstance(space, Agents) and self.pipeline.storages:
+            raise JaxactError(
+                f"storages hold what one agent does, but the world is one of {space.count} agents"
+            )
 
     def _check_storage(self, where: str, name: str, storage: Storage, devices: int) -> None:
         for number in ("updates", "lanes", "length"):

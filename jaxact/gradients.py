@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import optax
 from jax.flatten_util import ravel_pytree
 
+from jaxact.agents import as_lanes, batch_of_lanes
 from jaxact.losses.base import PRIORITY, TARGET_MODEL, Batch, Following, Loss, Progress
 from jaxact.models.output import ActorCriticOutput
 from jaxact.pomdp import PyTree
@@ -44,6 +45,8 @@ class Learnt:
 @dataclass(frozen=True)
 class GradientStep:
     """One gradient step on a batch, for `jax.lax.scan`.
+
+    Where there are several agents, the model sees their axis and losses see lanes.
 
     Attributes:
       model: the linen module.
@@ -95,7 +98,10 @@ class GradientStep:
     ) -> tuple[jax.Array, tuple[Metrics, PyTree, jax.Array | None]]:
         """Returns the weighted sum of the losses, metrics, the model's memory, and priorities."""
         params, own = trained
-        output, memory = forward(self.model, params, batch)
+        whole = batch
+        output, memory = forward(self.model, params, whole)
+        if batch.reward.ndim > 2:
+            batch, output = batch_of_lanes(whole, output)
         total, priority = jnp.float32(0), None
         metrics: Metrics = {}
         for name, loss in self.losses.items():
@@ -103,7 +109,8 @@ class GradientStep:
             if loss.has_variables:
                 arguments += ({**variables[name], "params": own[name]},)
                 if TARGET_MODEL in variables[name]:
-                    target, _ = forward(self.model, variables[name][TARGET_MODEL], batch)
+                    target, _ = forward(self.model, variables[name][TARGET_MODEL], whole)
+                    target = as_lanes(target, 2) if batch is not whole else target
                     extras = {**output.extras, "target": target}
                     arguments = (replace(output, extras=extras), *arguments[1:])
             value, parts = loss(*arguments)

@@ -3,6 +3,10 @@
 Every part is a frozen, hashable dataclass of static choices; all that changes is a pytree of arrays
 that its pure functions take and return. One lane (one world) is the unit: `jax.vmap` makes a batch.
 Worlds never reset themselves; whoever steps them decides when the next episode begins.
+
+A world of A agents has the action space `Agents(one agent's, A)`. Actions, the components of the
+reward, an expert's advice and every sensor's reading then have a leading axis [A]. Episodes begin
+and end for all agents together, and succeed or fail for all of them.
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ import jax.numpy as jnp
 
 from jaxact.errors import JaxactError
 from jaxact.frozen import FrozenMapping
-from jaxact.spaces import Dict, Space
+from jaxact.spaces import Agents, Dict, Space
 
 PyTree = Any
 
@@ -67,7 +71,7 @@ class Outcome:
     """What a task says of one step.
 
     Attributes:
-      reward: named float32 components; the reward is their sum.
+      reward: named float32 components, [A] where there are several agents; the reward is their sum.
       success: named bool goal conditions; the episode succeeds when all hold.
       terminated: bool, whether the task has ended (its horizon is not the task's business).
       metrics: named float32 task metrics, for example SPL.
@@ -86,7 +90,8 @@ class ExpertAction:
 
     Attributes:
       action: a value of the action space.
-      valid: bool scalar, false where the expert abstains (the action is then to be ignored).
+      valid: bool scalar, false where the expert abstains (the action is then to be ignored); [A]
+        where there are several agents.
       policy: float32 [n], the expert's probabilities of n discrete actions, where it has more to
         say than one action; None if not. Teacher forcing takes `action`.
     """
@@ -104,8 +109,8 @@ class Step:
     Attributes:
       observation: named arrays, one for each sensor, of the state just reached (at the end of an
         episode: its final observation).
-      reward: float32 scalar, the sum of `reward_terms`.
-      reward_terms: named float32 components.
+      reward: float32 scalar, the sum of `reward_terms`; [A] where there are several agents.
+      reward_terms: named float32 components, likewise.
       terminated: bool, the task has ended; nothing is bootstrapped.
       truncated: bool, the horizon was reached; both flags may be true.
       success: bool, all goal conditions hold.
@@ -320,11 +325,25 @@ class POMDP:
         for part in (self.task, self.sampler, *self.sensors.values()):
             if isinstance(part, Dependent):
                 part.check(self)
+        agents = self.num_agents
+        for name, sensor in self.sensors.items():
+            space = sensor.space
+            if (space.count if isinstance(space, Agents) else 1) != agents:
+                raise JaxactError(
+                    f"sensor {name!r} must have a reading for each of {agents} agent(s), but its "
+                    f"space is {space}; `jaxact.agents.ForAll` gives all agents one reading"
+                )
 
     @property
     def action_space(self) -> Space:
         """The environment's actions."""
         return self.environment.action_space
+
+    @property
+    def num_agents(self) -> int:
+        """How many act in it."""
+        space = self.action_space
+        return space.count if isinstance(space, Agents) else 1
 
     @property
     def observation_space(self) -> Dict:

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from jaxact.caching import cached_by_identity
-from jaxact.distributions import Categorical
+from jaxact.distributions import Categorical, Distribution
 from jaxact.errors import JaxactError
 from jaxact.evaluation import begin_held_out, held_out_lanes
 from jaxact.features import check_names, draw, intermediates
@@ -29,6 +29,8 @@ def record_episode(
     features: Sequence[str] = (),
 ) -> np.ndarray:
     """Films the first held-out episode of a seed, step for step as evaluation plays it.
+
+    Of several agents, value and reward are the means.
 
     Args:
       pomdp: the world; at least one sensor must be `Pictured`.
@@ -61,17 +63,14 @@ def record_episode(
         state, observation, memory, step, action, output = advance(
             policy.params, key, state, observation, memory
         )
-        reward = float(step.reward)
+        reward = float(np.mean(step.reward))
         total += reward
-        discrete = isinstance(output.distribution, Categorical)
-        names = pomdp.environment.action_names if discrete else ()
+        bars = _bars(pomdp, output.distribution, np.asarray(action))
         frames.append(
             annotate(
                 side_by_side(pictures),
-                action_names=names,
-                action_probabilities=np.asarray(output.distribution.probabilities) if names else (),
-                action=int(action) if discrete else 0,
-                value=float(output.value),
+                **bars,
+                value=float(np.mean(output.value)),
                 reward=reward,
                 episode_return=total,
                 step=t,
@@ -81,6 +80,24 @@ def record_episode(
         if step.finished:
             break
     return np.stack(frames)
+
+
+def _bars(pomdp: POMDP, distribution: Distribution, action: np.ndarray) -> dict[str, Any]:
+    """Returns the names and probabilities of discrete actions, and which were taken; of all agents
+    where there are several.
+    """
+    names = pomdp.environment.action_names
+    if not isinstance(distribution, Categorical) or not names:
+        return {"action_names": (), "action_probabilities": (), "chosen": ()}
+    probabilities = np.asarray(distribution.probabilities).reshape(-1)
+    agents = len(probabilities) // len(names)
+    return {
+        "action_names": names
+        if agents == 1
+        else [f"{i}: {n}" for i in range(agents) for n in names],
+        "action_probabilities": probabilities,
+        "chosen": [i * len(names) + int(a) for i, a in enumerate(action.reshape(-1))],
+    }
 
 
 def side_by_side(pictures: list[np.ndarray]) -> np.ndarray:

@@ -63,7 +63,7 @@ class Lanes:
       previous_action: the last action (zeros before the first).
       is_first: bool, true where the next step is the first of a new episode: state and observation
         are then those of the one before, at its end.
-      episode_return: float32, sum of rewards so far.
+      episode_return: float32, sum of rewards so far; of several agents the mean.
       episode_terms: the same for each of the reward's named components.
     """
 
@@ -82,6 +82,9 @@ class Lanes:
 @dataclass(frozen=True)
 class Trajectory:
     """What happened in a rollout, time-major [T, B, ...].
+
+    Where there are A agents, observations, actions, log-probabilities, values, rewards, advice and
+    `forced` have an axis of agents after that of lanes, [T, B, A, ...].
 
     Attributes:
       observation, previous_action, is_first: what the policy was given.
@@ -197,6 +200,19 @@ def select(mask: jax.Array, on_true: PyTree, on_false: PyTree) -> PyTree:
     )
 
 
+def mean_of_agents(x: jax.Array, lead: int) -> jax.Array:
+    """Returns the mean over agents of an array that has an axis of them after `lead` others."""
+    return jnp.mean(x, axis=lead) if x.ndim > lead else x
+
+
+def for_each_agent(x: jax.Array, like: jax.Array) -> jax.Array:
+    """Gives what is the same for all agents, [...], the shape of what each has, [...] or [..., A].
+
+    An array that has none is returned as it is.
+    """
+    return x if x.ndim == like.ndim else jnp.broadcast_to(x[..., None], like.shape)
+
+
 def start_lanes(
     pomdp: POMDP, sampler_state: PyTree, model: Any, keys: jax.Array, queue_length: int
 ) -> Lanes:
@@ -283,17 +299,18 @@ def rollout(
         action = jax.vmap(lambda distribution, key: distribution.sample(key))(
             output.distribution, action_keys
         )
-        expert, forced = None, jnp.zeros_like(lanes.is_first)
+        expert, forced = None, jnp.zeros(output.value.shape, bool)
         if query_expert:
             expert = jax.vmap(pomdp.expert)(expert_keys, state)
-            uniform = jax.vmap(lambda key: jax.random.uniform(key, (), jnp.float32))(forcing_keys)
+            shape = expert.valid.shape[1:]
+            uniform = jax.vmap(lambda k: jax.random.uniform(k, shape, jnp.float32))(forcing_keys)
             forced = expert.valid & (uniform < teacher_forcing)
             action = select(forced, expert.action, action)
         state, step = jax.vmap(pomdp.step)(world_keys, state, action)
 
-        episode_return = lanes.episode_return * going_on + step.reward
+        episode_return = lanes.episode_return * going_on + mean_of_agents(step.reward, 1)
         episode_terms = {
-            name: total * going_on + step.reward_terms[name]
+            name: total * going_on + mean_of_agents(step.reward_terms[name], 1)
             for name, total in lanes.episode_terms.items()
         }
         transition = Trajectory(
@@ -339,16 +356,16 @@ def rollout(
 def next_values(
     policy: Callable[..., tuple[ActorCriticOutput, PyTree]], trajectory: Trajectory
 ) -> jax.Array:
-    """Returns the value of each state stepped to, float32 [T, B]; of an episode's final state where
-    it was truncated, and zero where it terminated.
+    """Returns the value of each state stepped to, float32 [T, B] (or [T, B, A]); of an episode's
+    final state where it was truncated, and zero where it terminated.
 
     Within an episode it is the value estimated at the next step. Final observations are passed
     through the policy one round at a time: the last step of every lane, then each lane's latest
     truncation not yet done. Most rollouts need one or two rounds of B observations.
     """
     step = trajectory.step
-    length, lanes = step.reward.shape
-    values = jnp.concatenate([trajectory.value[1:], jnp.zeros((1, lanes), jnp.float32)])
+    length, lanes = step.terminated.shape
+    values = jnp.concatenate([trajectory.value[1:], jnp.zeros_like(trajectory.value[:1])])
     pending = (step.truncated & ~step.terminated).at[-1].set(True)
     columns = jnp.arange(lanes)
 
@@ -359,8 +376,9 @@ def next_values(
             lambda x: x[row, columns], (step.observation, trajectory.memory, trajectory.action)
         )
         output, _ = policy(observation, memory, action, jnp.zeros(lanes, bool))
-        value = jnp.where(pending[row, columns], output.value, values[row, columns])
+        known = values[row, columns]
+        value = jnp.where(for_each_agent(pending[row, columns], known), output.value, known)
         return pending.at[row, columns].set(False), values.at[row, columns].set(value)
 
     _, values = jax.lax.while_loop(lambda carry: jnp.any(carry[0]), one_round, (pending, values))
-    return jnp.where(step.terminated, 0.0, values)
+    return jnp.where(for_each_agent(step.terminated, values), 0.0, values)

@@ -120,3 +120,24 @@ class Dict(Space):
     @property
     def structure(self) -> dict[str, Any]:  # noqa: D102
         return {name: space.structure for name, space in self.spaces.items()}
+
+
+@dataclass(frozen=True)
+class Agents(Space):
+    """A value of `space` for each of `count` agents: every array has a leading axis [A]."""
+
+    space: Space
+    count: int
+
+    def sample(self, key: jax.Array) -> Any:  # noqa: D102
+        return jax.vmap(self.space.sample)(jax.random.split(key, self.count))
+
+    def contains(self, value: Any) -> jax.Array:  # noqa: D102
+        return jnp.all(jax.vmap(self.space.contains)(value))
+
+    @property
+    def structure(self) -> Any:  # noqa: D102
+        return jax.tree.map(
+            lambda leaf: jax.ShapeDtypeStruct((self.count, *leaf.shape), leaf.dtype),
+            self.space.structure,
+        )

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxact.pomdp import POMDP, FinishedEpisodes, State, Step
+from jaxact.spaces import Agents
 
 
 def check_pomdp(pomdp: POMDP, *, seed: int = 0, lanes: int = 4, steps: int = 16) -> None:
@@ -42,6 +43,10 @@ def _is_weak(x: Any) -> bool:
     return bool(getattr(getattr(x, "aval", x), "weak_type", False))
 
 
+def _form(dtype: str, shape: tuple[int, ...]) -> str:
+    return f"{dtype}{list(shape)}" if shape else f"a {dtype} scalar"
+
+
 def _is_scalar(x: jax.Array, dtype: Any) -> bool:
     return x.dtype == dtype and x.shape == ()
 
@@ -65,17 +70,23 @@ def _check_structure(
         "step changes the structure, shapes or dtypes of the state (a weakly typed number counts): "
         f"{_first_difference(state, after)}"
     )
-    _check_step(step)
+    _check_step(step, _agent_axis(pomdp))
 
 
-def _check_step(step: Step) -> None:
+def _agent_axis(pomdp: POMDP) -> tuple[int, ...]:
+    """The shape of what each agent has one of."""
+    return (pomdp.num_agents,) if isinstance(pomdp.action_space, Agents) else ()
+
+
+def _check_step(step: Step, each: tuple[int, ...]) -> None:
     for name in ("terminated", "truncated", "success"):
         flag = getattr(step, name)
         assert _is_scalar(flag, jnp.bool_), f"{name} must be a bool scalar"
-    named = {**step.reward_terms, **{f"metric {n}": x for n, x in step.metrics.items()}}
-    for name, value in named.items():
-        assert _is_scalar(value, jnp.float32), (
-            f"{name} must be a float32 scalar, it is {value.dtype}{list(value.shape)}"
+    rewards = {name: (value, each) for name, value in step.reward_terms.items()}
+    metrics = {f"metric {name}": (value, ()) for name, value in step.metrics.items()}
+    for name, (value, shape) in {**rewards, **metrics}.items():
+        assert (value.dtype, value.shape) == (jnp.float32, shape), (
+            f"{name} must be {_form('float32', shape)}, it is {value.dtype}{list(value.shape)}"
         )
     assert step.reward.dtype == jnp.float32, "the reward must be float32"
 
@@ -102,7 +113,8 @@ def _check_batch(pomdp: POMDP, key: jax.Array, lanes: int, steps: int) -> None:
         last, (state, result) = state, step(keys, state, action)
         observation = result.observation
         assert bool(jnp.all(inside(observation))), f"a reading leaves its space after {t + 1} steps"
-        total = sum(result.reward_terms.values(), start=jnp.zeros(lanes, jnp.float32))
+        nothing = jnp.zeros((lanes, *_agent_axis(pomdp)), jnp.float32)
+        total = sum(result.reward_terms.values(), start=nothing)
         assert bool(jnp.all(jnp.isfinite(result.reward))), "a reward is not finite"
         assert bool(jnp.allclose(result.reward, total)), "the reward is not the sum of its terms"
         assert bool(jnp.all(result.truncated == (last.steps + 1 >= last.horizon))), (
@@ -125,8 +137,11 @@ def _check_expert(pomdp: POMDP, key: jax.Array, state: State) -> None:
     advice = jax.jit(pomdp.expert)(key, state)
     expected = pomdp.action_space.structure
     chex.assert_trees_all_equal_shapes_and_dtypes(advice.action, expected)
-    assert _is_scalar(advice.valid, jnp.bool_), "the expert's `valid` must be a bool scalar"
-    if bool(advice.valid):
+    each = _agent_axis(pomdp)
+    assert (advice.valid.dtype, advice.valid.shape) == (jnp.bool_, each), (
+        f"the expert's `valid` must be {_form('bool', each)}"
+    )
+    if bool(jnp.all(advice.valid)):
         assert bool(pomdp.action_space.contains(advice.action)), (
             "the expert's action is not in the action space"
         )

@@ -17,7 +17,7 @@ from jaxact.models.output import ActorCriticOutput
 from jaxact.pipeline import Stage, TrainingPipeline
 from jaxact.pomdp import PyTree
 from jaxact.returns import episode_means, generalized_advantages
-from jaxact.rollout import Trajectory, next_values, rollout
+from jaxact.rollout import Trajectory, for_each_agent, mean_of_agents, next_values, rollout
 from jaxact.schedules import Schedule, value_at
 from jaxact.storage_update import learn_from_storage, resumed
 from jaxact.train_state import TrainState, optimizer_for
@@ -143,7 +143,8 @@ def _rollout_update(
 
     sampler = state.sampler
     if pomdp.sampler.learns:
-        error = episode_means(jnp.abs(batch.advantage), trajectory.step.finished)
+        error = mean_of_agents(jnp.abs(batch.advantage), 2)
+        error = episode_means(error, trajectory.step.finished)
         finished = replace(trajectory.finished, mean_error=error)
         sampler = pomdp.sampler.update(sampler, _gather_lanes(finished, axis_name))
     kinds = pomdp.sampler.kinds(trajectory.finished.origin)
@@ -214,12 +215,14 @@ def make_batch(
       axis_name: the device axis over which advantages are normalised.
     """
     step = trajectory.step
+    terminated = for_each_agent(step.terminated, step.reward)
+    truncated = for_each_agent(step.truncated, step.reward)
     advantage = generalized_advantages(
         step.reward,
         trajectory.value,
         next_value,
-        step.terminated,
-        step.finished,
+        terminated,
+        terminated | truncated,
         settings.discount,
         settings.gae_lambda,
     )
@@ -235,8 +238,8 @@ def make_batch(
         value=trajectory.value,
         reward=step.reward,
         reward_terms=dict(step.reward_terms),
-        terminated=step.terminated,
-        truncated=step.truncated,
+        terminated=terminated,
+        truncated=truncated,
         advantage=advantage,
         normalized_advantage=(advantage - mean) / (deviation + 1e-5),
         returns=advantage + trajectory.value,

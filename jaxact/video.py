@@ -35,7 +35,7 @@ def annotate(
     *,
     action_names: Sequence[str],
     action_probabilities: Sequence[float] | np.ndarray,
-    action: int,
+    chosen: Sequence[int],
     value: float,
     reward: float,
     episode_return: float,
@@ -51,7 +51,7 @@ def annotate(
       frame: uint8[H, W, 3].
       action_names: a name for each action; none, as for continuous actions, means no bars.
       action_probabilities: [len(action_names)] numbers in [0, 1].
-      action: the index of the action taken, which is highlighted.
+      chosen: the indices of the actions taken, which are highlighted.
       value: the critic's estimate.
       reward: what the last step earned.
       episode_return: the sum of rewards so far.
@@ -89,7 +89,7 @@ def annotate(
         draw.text((x, _NUMBERS_TOP + 16), text, _TEXT, _font(17))
     for row, (name, probability) in enumerate(zip(action_names, action_probabilities, strict=True)):
         top = _BARS_TOP + row * _ROW
-        _draw_bar(draw, (left, top, right), name, float(probability), row == int(action))
+        _draw_bar(draw, (left, top, right), name, float(probability), row in chosen)
     return np.asarray(canvas)
 
 

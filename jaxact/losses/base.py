@@ -77,6 +77,9 @@ class Unknown:
 class Batch:
     """Whole sequences of some lanes; every array is time-major [T, B, ...].
 
+    Of several agents it is [T, B, A, ...], but for `is_first`, `memory`, `key` and `weight`, until
+    `jaxact.agents.batch_of_lanes` makes lanes of them; losses see no axis of agents.
+
     What only the policy that acted could tell (log_prob, value, and advantage and returns, which
     are made from it) is `Unknown` in batches that come from a storage which does not keep it.
 

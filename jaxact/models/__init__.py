@@ -1,6 +1,7 @@
 """Models: linen modules from observations and memory to policy and value."""
 
 from jaxact.models.actor_critic import ActorCritic as ActorCritic
+from jaxact.models.agents_actor_critic import AgentsActorCritic as AgentsActorCritic
 from jaxact.models.attended_words import BidirectionalWords as BidirectionalWords
 from jaxact.models.beliefs import MultipleBeliefs as MultipleBeliefs
 from jaxact.models.encoders import BagOfWords as BagOfWords
@@ -29,6 +30,7 @@ __all__ = [
     "ActorCritic",
     "ActorCriticOutput",
     "ActorHead",
+    "AgentsActorCritic",
     "BagOfWords",
     "BidirectionalWords",
     "Concatenated",

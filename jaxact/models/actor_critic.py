@@ -13,7 +13,7 @@ from jaxact.models.beliefs import Beliefs
 from jaxact.models.heads import ActorHead
 from jaxact.models.memory import GRU
 from jaxact.models.output import ActorCriticOutput
-from jaxact.spaces import Box, Dict, Discrete, Space, Tuple
+from jaxact.spaces import Agents, Box, Dict, Discrete, Space, Tuple
 
 
 class ActorCritic(nn.Module):
@@ -97,6 +97,8 @@ def flatten_action(space: Space, action: Any) -> jax.Array:
     match space:
         case Discrete(n):
             return jax.nn.one_hot(action, n, dtype=jnp.float32)
+        case Agents(each):
+            return flatten_action(each, action)
         case Box(shape=shape):
             lead = action.shape[: action.ndim - len(shape)]
             return action.astype(jnp.float32).reshape((*lead, -1))

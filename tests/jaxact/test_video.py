@@ -17,7 +17,7 @@ def draw(frame: np.ndarray, **changes: Any) -> np.ndarray:
     arguments: dict[str, Any] = {
         "action_names": NAMES,
         "action_probabilities": np.array([0.2, 0.1, 0.7]),
-        "action": 2,
+        "chosen": [2],
         "value": 0.5,
         "reward": 0.0,
         "episode_return": 1.0,
