@@ -68,6 +68,7 @@ def collect(
     """
     if episodes < 1:
         raise JaxactError(f"episodes must be at least 1, got {episodes}")
+    pomdp.check_single_agent("recordings are")
     if policy is None and not pomdp.has_expert:
         raise JaxactError(f"{type(pomdp.task).__name__} has no expert: give a policy to record")
     acting = {"kind": "expert"} if policy is None else {"kind": "policy", **(actor or {})}

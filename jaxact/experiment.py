@@ -76,10 +76,12 @@ class Experiment:
                 f"model {type(self.model).__name__} is for {of_model}: use AgentsActorCritic, or a "
                 "model that sees the axis of agents as it does, with the world's action space"
             )
-        if isinstance(space, Agents) and self.pipeline.storages:
-            raise JaxactError(
-                f"storages hold what one agent does, but the world is one of {space.count} agents"
-            )
+        if self.pipeline.storages:
+            self.pomdp.check_single_agent("storages are")
+        for stage in self.pipeline.stages:
+            for name, loss in stage.losses.items():
+                if isinstance(loss, Rewarding):
+                    self.pomdp.check_single_agent(f"rewards of losses ({name!r}) are")
 
     def _check_storage(self, where: str, name: str, storage: Storage, devices: int) -> None:
         for number in ("updates", "lanes", "length"):

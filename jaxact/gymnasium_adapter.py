@@ -52,6 +52,7 @@ def to_gymnasium(
     Raises:
       JaxactError: no such mode, or no sensor can be pictured.
     """
+    pomdp.check_single_agent("Gymnasium environments are")
     env = _POMDPEnv(pomdp, seed, render_mode, flatten)
     make = functools.partial(to_gymnasium, pomdp)
     kwargs = {"seed": seed, "render_mode": render_mode, "flatten": flatten}
@@ -86,6 +87,7 @@ def to_gymnasium_vector(
     Raises:
       JaxactError: as for `to_gymnasium`, or the lanes are none or never reset.
     """
+    pomdp.check_single_agent("Gymnasium environments are")
     return _POMDPVectorEnv(pomdp, num_envs, seed, autoreset_mode, render_mode, flatten)
 
 

@@ -34,7 +34,11 @@ def to_gymnax(
         sensors' readings in the order of their names, one-hot where they are discrete.
       joint_done: whether `step` returns one flag `done`, as up to gymnax 0.0.9 and as Rejax 0.1 and
         PureJaxRL take it, rather than `terminated` and `truncated`.
+
+    Raises:
+      JaxactError: the world is one of several agents.
     """
+    pomdp.check_single_agent("gymnax environments are")
     return GymnaxEnvironment(pomdp, name, flatten, joint_done)
 
 

@@ -345,6 +345,17 @@ class POMDP:
         space = self.action_space
         return space.count if isinstance(space, Agents) else 1
 
+    def check_single_agent(self, what: str) -> None:
+        """Refuses a world of several agents, for what cannot do with it.
+
+        Raises:
+          JaxactError: there are several.
+        """
+        if isinstance(self.action_space, Agents):
+            raise JaxactError(
+                f"{what} for worlds of one agent, and this one is of {self.num_agents} agents"
+            )
+
     @property
     def observation_space(self) -> Dict:
         """One named space for each sensor."""

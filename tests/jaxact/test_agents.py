@@ -13,6 +13,9 @@ import envs_jax
 import jaxact
 from jaxact import Experiment, JaxactError, Stage, TrainingPipeline
 from jaxact.agents import ForAll, MixedRewards, as_agents, as_lanes
+from jaxact.collect import collect
+from jaxact.gymnasium_adapter import to_gymnasium
+from jaxact.gymnax_adapter import to_gymnax
 from jaxact.losses import PPO, Imitation
 from jaxact.models import GRU, ActorCritic, AgentsActorCritic, Concatenated, Vector
 from jaxact.policy import Policy
@@ -204,6 +207,13 @@ def test_what_does_not_fit_together_is_refused():
     wrong = AgentsActorCritic(Agents(Discrete(2), 3), ENCODER, GRU(8))
     with pytest.raises(JaxactError, match="count=3"):
         train(experiment(pomdp, wrong, stages))
+    for refused in (
+        lambda: to_gymnasium(pomdp),
+        lambda: to_gymnax(pomdp),
+        lambda: collect(pomdp, "nowhere", 1, world="crowd"),
+    ):
+        with pytest.raises(JaxactError, match="for worlds of one agent, and this one is of 2"):
+            refused()
     with pytest.raises(JaxactError, match="unknown way of sharing parameters 'al'"):
         train(of_crowd(2, stages, "al"))
 
