@@ -1,10 +1,12 @@
 """Furniture along walls and in the open, and things on it, none of it in anyone's way.
 
 Why the free space of a body of up to `WIDEST_BODY` metres radius stays one piece: what stands at a
-wall touches it, and keeps `PASSAGE` from the other walls and from all that does not stand at the
-same wall; what stands in the open keeps `PASSAGE` from everything. So the things that the body
-cannot pass between form, with the walls, lumps that touch a room's border in one stretch each, and
-a rectangle without such lumps is connected. Before doorways nothing stands.
+wall touches it, and keeps `PASSAGE` from all that does not stand at the same wall, and from the
+other walls unless it stands in a corner, too close to the other wall for any body; what stands in
+the open keeps `PASSAGE` from everything. So the things that the body cannot pass between form, with
+the walls, lumps that touch a room's border in one stretch each, and a rectangle without such lumps
+is connected. Nowhere is a body between a piece and a wall with a window so that it could just pass
+beside the window, which stands out, and not before it. Before doorways nothing stands.
 
 Before what stands at a wall, between its neighbours, the body has room. Things lie within 3 cm of
 an edge that the body can come to: the front of what stands at a wall, and the ends of what stands
@@ -300,6 +302,10 @@ def _at_wall(
     low = jnp.where(along_z, room[:, 1], room[:, 0]) + margin
     high = jnp.where(along_z, room[:, 3], room[:, 2]) - margin
     along = low + draws[:, 1] * (high - low)
+    # Either in the corner, or so far from it that one can stand there.
+    niche = PASSAGE - _side_gap(size[0])
+    along = jnp.where(high - along < niche, high, along)
+    along = jnp.where(along - low < niche, low, along)
     at_low = (wall == 0) | (wall == 2)
     face = jnp.where(
         at_low,
@@ -310,7 +316,8 @@ def _at_wall(
         along_z[:, None], jnp.stack([face, along], axis=1), jnp.stack([along, face], axis=1)
     )
     across = jnp.where(along_z, room[:, 2] - room[:, 0], room[:, 3] - room[:, 1])
-    return wall, plan, (high >= low) & (across >= depth + PASSAGE)
+    fits = (high >= low + niche) & (across >= depth + PASSAGE)
+    return wall, plan, fits
 
 
 def _in_open(
