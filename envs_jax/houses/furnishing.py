@@ -35,9 +35,11 @@ _SIDE_GAP = 0.1
 _STANDING_ROOM = 2 * WIDEST_BODY + 0.04
 _EDGE = 0.03
 # Things on anything higher could not be seen, and things on what is as high as a camera only if
-# they are not too flat.
+# they are not too flat. What is higher than the lowest camera hides things by its edge, from who
+# stands before it, that are too deep for their height.
 _HIGHEST_RECEPTACLE = 1.0
 _EYE_LEVEL, _FLAT = 0.8, 0.06
+_LOWEST_CAMERA = 0.87
 _CHAIR_DEPTH = 0.5
 _CANDIDATES = 16
 # Where a piece of furniture goes.
@@ -515,6 +517,9 @@ def set_out(draws: Sequence[jax.Array], furniture: Pieces, objects: tuple[int, .
         size = _size(size_draws, category)
         weights = jnp.asarray(_WEIGHTS)[category, furniture.category]
         in_sight = (top <= _EYE_LEVEL) | (size[1] >= _FLAT)
+        # By the intercept theorem, for the middle of its upper half.
+        rise, inward = top - _LOWEST_CAMERA, size[2] / 2 + _EDGE
+        in_sight &= 0.75 * size[1] * WIDEST_BODY >= rise * inward
         weights = jnp.where(usable & in_sight, weights, 0.0)
         under = _weighted(draws[:, 0], weights)
         on = Pieces(furniture.rows[under])
@@ -523,7 +528,6 @@ def set_out(draws: Sequence[jax.Array], furniture: Pieces, objects: tuple[int, .
         # At the ends of what stands in the open, else at the front; there not so far to the side
         # that a deeper neighbour could be in the way.
         end = jnp.where(draws[:, 1] < 0.5, -1.0, 1.0)
-        inward = size[2] / 2 + _EDGE
         span = jnp.where(in_open, half[:, 2], half[:, 0])
         room_beside = jnp.where(in_open, span, span - 0.11)
         sideways = jnp.maximum(jnp.minimum(span - size[0] / 2, room_beside), 0.0)

@@ -8,8 +8,9 @@ and television stands, and the cabinets of counters. Each is one box with two pl
 - the upper part of a fridge is one box as long as it is shut. Open, there is only its door at the
   side, and what is kept in it stands on its lower part.
 
-Shut they take no room that was free. Open they stand out by at most `_REACH`, less than what is
-kept free before furniture, so that they are in nothing; but a body may not get past them.
+Shut they take no room that was free. Open they stand out by less than half of what is kept free
+before furniture, so that they are in nothing, not even each other; but a body may not get past
+them. So doors are narrow, and a fridge's is as if it were folded.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from envs_jax.houses.furnishing import OPEN, PASSAGE, Pieces
 
 # How far doors and drawers stand out from what they belong to: shut, so as to be seen, and open.
 _RELIEF = 0.004
-_REACH = PASSAGE - 0.1
+_REACH = PASSAGE / 2 - 0.01
 _THICK = 0.02
 # Of a fridge, so high is the part that does not open.
 _SHELF = 0.7

@@ -87,7 +87,7 @@ def problems(
       scene: without leading axes.
       body: who is to live there.
       within: metres in plan from which what RoboTHOR has one look for must be seen by the body's
-        camera as the house stands, and what can be carried once everything is open.
+        camera as the house stands, and what can be carried so or once everything is open.
       resolution: metres between the places that are looked at.
     """
     free, x, z = free_cells(scene, body, resolution)
@@ -107,7 +107,8 @@ def problems(
     found += [
         Problem("hidden", f"{name[row]} cannot be seen")
         for row in np.nonzero(targets | (np.asarray(scene.portable) & present))[0].tolist()
-        if not _seen(boxes if targets[row] else opened, row, free, x, z, body, within)
+        if not _seen(boxes, row, free, x, z, body, within)
+        and (targets[row] or not _seen(opened, row, free, x, z, body, within))
     ]
     # Doors and windows are in walls, and what is shut in or on what it belongs to.
     solid = np.nonzero(present & ((category == _WALL) | (category >= len(categories.STRUCTURE))))[0]

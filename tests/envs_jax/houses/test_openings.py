@@ -103,7 +103,7 @@ def test_what_is_in_a_fridge_is_seen_and_taken_once_it_is_open(house):
 
 def test_drawers_come_out_and_are_in_the_way(house):
     scene, act, _ = house
-    shut = before(scene, 0, 0.7)
+    shut = before(scene, 0, 0.6)
     assert not bool(act(shut, "move_ahead").collided)
     opened = act(shut, "open")
     assert np.asarray(opened.scene.opened).nonzero()[0].tolist() == [6]
@@ -116,7 +116,7 @@ def test_open_or_shut_they_stay_within_what_is_kept_free(house):
     scene, _, _ = house
     front = PLANS[[3, 0, 2], 1] - SIZES[[3, 0, 2], 2] / 2
     width = SIZES[[3, 0, 2], 0] / 2
-    for rows, reach in ((scene.boxes, 0.005), (scene.other_boxes, PASSAGE)):
+    for rows, reach in ((scene.boxes, 0.005), (scene.other_boxes, PASSAGE / 2)):
         row = np.asarray(rows)[5:8]
         assert np.all(front - (row[:, 2] - row[:, 5]) <= reach)
         assert np.all(np.abs(row[:, 0] - PLANS[[3, 0, 2], 0]) + row[:, 3] <= width + 1e-6)
