@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from envs_jax.houses.collision import is_free, obstacles
-from envs_jax.houses.draws import draw
+from envs_jax.houses.draws import draw, first_true
 from envs_jax.houses.generator import SPLITS, Style, generate, scene_key
 from envs_jax.houses.geodesic import GoalField, Roadmap, build_roadmap, goal_field, shortest
 from envs_jax.houses.scene import PADDING, Scene
@@ -18,7 +18,7 @@ from envs_jax.houses.state import Body
 from jaxact.errors import JaxactError, unknown
 
 CANDIDATES = 32
-# How many of the candidates may become the middle of a house.
+# How many of the candidates that are free may become the middle of a house.
 _MIDDLES = 8
 
 
@@ -188,8 +188,9 @@ def build_bank(scenes: Scenes, body: Body, nodes: int) -> Bank:
             metres = jax.vmap(lambda other: shortest(ways, blocked, body.radius, other))(places)
             return jnp.sum((metres < jnp.inf) & free, dtype=jnp.int32), ways
 
-        counts, ways = jax.vmap(reach)(places[:_MIDDLES])
-        best = jnp.argmax(jnp.where(free[:_MIDDLES], counts, -1))
+        rows, there = first_true(free, _MIDDLES)
+        counts, ways = jax.vmap(reach)(places[rows])
+        best = jnp.argmax(jnp.where(there, counts, -1))
         return roadmap, jax.tree.map(lambda leaf: leaf[best], ways)
 
     # One after the other: the pairs of corners against all boxes are many.

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from envs_jax.houses.collision import clearance, obstacles, sweep
+from envs_jax.houses.collision import clearance, obstacles
 from envs_jax.houses.environment import House
 from envs_jax.houses.geodesic import GoalField, distance, nearby, ways
 from envs_jax.houses.journey import Journey
@@ -27,12 +27,12 @@ _GAIN, _LUCK = 0.02, 0.4
 # Up to so many metres further from a goal than it has been, it may be on its way out of a corner.
 _DETOUR = 1.5
 # Metres from a goal that a step can miss at which it begins to search.
-_CAREFUL = 1.0
+_CAREFUL = 2.0
 # A search is over once a walk leads nearer by so many metres.
 _PROGRESS = 0.1
 # A search goes on from so many places at a time, one in each square of so many metres, for so many
 # steps, among so many boxes, the nearest.
-_PLACES, _SQUARE, _DEPTH, _BOXES = 24, 0.03, 8, 16
+_PLACES, _SQUARE, _DEPTH, _BOXES = 12, 0.03, 8, 16
 
 
 def walk(house: House, journey: Journey, state: HouseState, arrived: jax.Array) -> jax.Array:
@@ -40,8 +40,8 @@ def walk(house: House, journey: Journey, state: HouseState, arrived: jax.Array) 
 
     Of all headings that turns lead to, it takes the one in which a step ahead leaves the shortest
     way. Where no step leads nearer, and close to goals that a step can miss, it searches for the
-    walk of fewest steps to a place that is nearer than it has been, or near enough. If there is
-    none, it takes a step at random.
+    shortest walk to a place that is nearer than it has been, or near enough. If there is none, it
+    takes a step at random.
 
     Args:
       house: the dynamics; noise is left out of account.
@@ -101,7 +101,10 @@ def _search(
     yaw: jax.Array,
     enough: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """Searches for a walk of few steps, without collisions, that leads near enough to a goal.
+    """Searches for the shortest walk of few steps that leads near enough to a goal.
+
+    Walks may touch things where the body stops or slides at them: who slides walks less far than a
+    step, which is how walks come to be of lengths between.
 
     Args:
       house: the dynamics.
@@ -124,16 +127,27 @@ def _search(
         yaw + turns.astype(jnp.float32) * jnp.float32(house.turn)
     )
 
-    def step(place: jax.Array, move: jax.Array) -> jax.Array:
-        share, _ = sweep(boxes, radius, place, move)
-        metres = jnp.min(ways(boxes, radius, place + move, field.nodes) + field.lengths)
-        return jnp.where(share < 1, jnp.inf, metres)
+    def step(place: jax.Array, move: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        after, _ = house.move(boxes, place, move)
+        moved = jnp.sqrt(jnp.sum((after - place) ** 2))
+        left = jnp.min(ways(boxes, radius, after, field.nodes) + field.lengths)
+        return after, moved, jnp.where(moved < 1e-3, jnp.inf, left)
 
     def go_on(carry: _Frontier) -> _Frontier:
-        left = jax.vmap(lambda place: jax.vmap(lambda move: step(place, move))(moves))(carry.places)
-        after = (carry.places[:, None] + moves).reshape(-1, 2)
+        after, moved, left = jax.vmap(
+            lambda place: jax.vmap(lambda move: step(place, move))(moves)
+        )(carry.places)
+        after, left = after.reshape(-1, 2), left.reshape(-1)
+        walked = (carry.walked[:, None] + moved).reshape(-1)
         firsts = jnp.where(carry.depth == 0, turns, carry.firsts[:, None]).reshape(-1)
-        cost = left.reshape(-1) + _TURN_COST * jnp.abs(firsts).astype(jnp.float32)
+        effort = walked + _TURN_COST * jnp.abs(firsts).astype(jnp.float32)
+        there = jnp.where(left <= enough, effort, jnp.inf)
+        row = jnp.argmin(there)
+        arrives = there[row] < carry.cost
+        nearest = jnp.argmin(left)
+        nearer = left[nearest] < carry.left
+        strays = nearer & (carry.cost == jnp.inf)
+        cost = jnp.where(left <= enough, jnp.inf, effort + left)
         # The same place is come to in many ways: the best of each square is kept.
         squares = jnp.round((after - position) / _SQUARE).astype(jnp.int32)
         square = squares[:, 0] * 4096 + squares[:, 1]
@@ -142,27 +156,30 @@ def _search(
         again = jnp.concatenate([jnp.zeros(1, bool), square[1:] == square[:-1]])
         cost, kept = jax.lax.top_k(-jnp.where(again, jnp.inf, cost), _PLACES)
         rows = order[kept]
-        # Where fewer are left, the best are repeated.
-        rows = jnp.where(cost > -jnp.inf, rows, rows[0])
-        best = left.reshape(-1)[rows[0]]
-        better = best < carry.left
+        none = cost == -jnp.inf
         return _Frontier(
             carry.depth + 1,
             after[rows],
+            jnp.where(none, jnp.inf, walked[rows]),
             firsts[rows],
-            jnp.where(better, best, carry.left),
-            jnp.where(better, firsts[rows[0]], carry.first),
+            -cost[0],
+            jnp.where(arrives, there[row], carry.cost),
+            jnp.where(nearer, left[nearest], carry.left),
+            jnp.where(arrives, firsts[row], jnp.where(strays, firsts[nearest], carry.first)),
         )
 
     begin = _Frontier(
         jnp.int32(0),
         jnp.broadcast_to(position, (_PLACES, 2)),
+        jnp.zeros(_PLACES, jnp.float32),
         jnp.zeros(_PLACES, jnp.int32),
+        jnp.float32(0),
+        jnp.float32(jnp.inf),
         jnp.float32(jnp.inf),
         jnp.int32(0),
     )
     end = jax.lax.while_loop(
-        lambda carry: (carry.depth < _DEPTH) & (carry.left > enough), go_on, begin
+        lambda carry: (carry.depth < _DEPTH) & (carry.cost > carry.bound - enough), go_on, begin
     )
     return end.left, end.first
 
@@ -173,14 +190,20 @@ class _Frontier(NamedTuple):
     Attributes:
       depth: int32 scalar, in how many steps.
       places: float32 [P, 2], to where.
+      walked: float32 [P], metres of the walks there; infinite where there are fewer.
       firsts: int32 [P], turns that the walks there begin with.
+      bound: float32 scalar, the least metres of any walk by way of a place, with what is left.
+      cost: float32 scalar, the metres of the shortest walk that leads near enough.
       left: float32 scalar, the least metres left of any place so far.
-      first: int32 scalar, turns that the walk there begins with.
+      first: int32 scalar, turns that that walk begins with, or else the walk to the nearest place.
     """
 
     depth: jax.Array
     places: jax.Array
+    walked: jax.Array
     firsts: jax.Array
+    bound: jax.Array
+    cost: jax.Array
     left: jax.Array
     first: jax.Array
 

@@ -1,10 +1,12 @@
 """Furniture along walls and in the open, and things on it, none of it in anyone's way.
 
 Why the free space of a body of up to `WIDEST_BODY` metres radius stays one piece: what stands at a
-wall touches it, and keeps `PASSAGE` from the other walls and from all that does not stand at the
-same wall; what stands in the open keeps `PASSAGE` from everything. So the things that the body
-cannot pass between form, with the walls, lumps that touch a room's border in one stretch each, and
-a rectangle without such lumps is connected. Before doorways nothing stands.
+wall touches it, and keeps `PASSAGE` from all that does not stand at the same wall, and from the
+other walls unless it stands in a corner, too close to the other wall for any body; what stands in
+the open keeps `PASSAGE` from everything. So the things that the body cannot pass between form, with
+the walls, lumps that touch a room's border in one stretch each, and a rectangle without such lumps
+is connected. Nowhere is a body between a piece and a wall with a window so that it could just pass
+beside the window, which stands out, and not before it. Before doorways nothing stands.
 
 Before what stands at a wall, between its neighbours, the body has room. Things lie within 3 cm of
 an edge that the body can come to: the front of what stands at a wall, and the ends of what stands
@@ -33,9 +35,11 @@ _SIDE_GAP = 0.1
 _STANDING_ROOM = 2 * WIDEST_BODY + 0.04
 _EDGE = 0.03
 # Things on anything higher could not be seen, and things on what is as high as a camera only if
-# they are not too flat.
+# they are not too flat. What is higher than the lowest camera hides things by its edge, from who
+# stands before it, that are too deep for their height.
 _HIGHEST_RECEPTACLE = 1.0
 _EYE_LEVEL, _FLAT = 0.8, 0.06
+_LOWEST_CAMERA = 0.87
 _CHAIR_DEPTH = 0.5
 _CANDIDATES = 16
 # Where a piece of furniture goes.
@@ -300,6 +304,10 @@ def _at_wall(
     low = jnp.where(along_z, room[:, 1], room[:, 0]) + margin
     high = jnp.where(along_z, room[:, 3], room[:, 2]) - margin
     along = low + draws[:, 1] * (high - low)
+    # Either in the corner, or so far from it that one can stand there.
+    niche = PASSAGE - _side_gap(size[0])
+    along = jnp.where(high - along < niche, high, along)
+    along = jnp.where(along - low < niche, low, along)
     at_low = (wall == 0) | (wall == 2)
     face = jnp.where(
         at_low,
@@ -310,7 +318,8 @@ def _at_wall(
         along_z[:, None], jnp.stack([face, along], axis=1), jnp.stack([along, face], axis=1)
     )
     across = jnp.where(along_z, room[:, 2] - room[:, 0], room[:, 3] - room[:, 1])
-    return wall, plan, (high >= low) & (across >= depth + PASSAGE)
+    fits = (high >= low + niche) & (across >= depth + PASSAGE)
+    return wall, plan, fits
 
 
 def _in_open(
@@ -508,6 +517,9 @@ def set_out(draws: Sequence[jax.Array], furniture: Pieces, objects: tuple[int, .
         size = _size(size_draws, category)
         weights = jnp.asarray(_WEIGHTS)[category, furniture.category]
         in_sight = (top <= _EYE_LEVEL) | (size[1] >= _FLAT)
+        # By the intercept theorem, for the middle of its upper half.
+        rise, inward = top - _LOWEST_CAMERA, size[2] / 2 + _EDGE
+        in_sight &= 0.75 * size[1] * WIDEST_BODY >= rise * inward
         weights = jnp.where(usable & in_sight, weights, 0.0)
         under = _weighted(draws[:, 0], weights)
         on = Pieces(furniture.rows[under])
@@ -516,7 +528,6 @@ def set_out(draws: Sequence[jax.Array], furniture: Pieces, objects: tuple[int, .
         # At the ends of what stands in the open, else at the front; there not so far to the side
         # that a deeper neighbour could be in the way.
         end = jnp.where(draws[:, 1] < 0.5, -1.0, 1.0)
-        inward = size[2] / 2 + _EDGE
         span = jnp.where(in_open, half[:, 2], half[:, 0])
         room_beside = jnp.where(in_open, span, span - 0.11)
         sideways = jnp.maximum(jnp.minimum(span - size[0] / 2, room_beside), 0.0)

@@ -1,7 +1,8 @@
 """Furnished houses at random: a pure function of a key, of fixed shapes and bounded work.
 
 What there is and how large follows the statistics of ProcTHOR's assets (`asset_sizes`); floor plans
-are in `floor_plans`, and why one can go everywhere in them in `furnishing`.
+are in `floor_plans`, why one can go everywhere in them in `furnishing`, and what opens in
+`openings`.
 """
 
 from __future__ import annotations
@@ -13,10 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from envs_jax.houses import categories, floor_plans, furnishing
+from envs_jax.houses import categories, floor_plans, furnishing, openings
 from envs_jax.houses.draws import draw
 from envs_jax.houses.floor_plans import MOST_ROOMS, FloorPlan
 from envs_jax.houses.furnishing import MOST_SLOTS, Pieces
+from envs_jax.houses.openings import Openings
 from envs_jax.houses.scene import PADDING, Scene
 from jaxact.errors import JaxactError, unknown
 
@@ -42,6 +44,8 @@ class Style:
       on_floor: names of what is put on the floor somewhere.
       on_furniture: names of what is put on furniture, each where ProcTHOR's statistics would have
         it; absent if there is no such furniture.
+      fronts: how many doors and drawers of furniture there are at most, see `openings`.
+      kept: names of what is kept in a fridge that opens; absent if there is none.
       kind: the kind of the only room; empty for any, and with several rooms by their size.
       boxes: rows of the scene.
     """
@@ -56,6 +60,8 @@ class Style:
     furniture: int
     on_floor: tuple[str, ...]
     on_furniture: tuple[str, ...]
+    fronts: int = 0
+    kept: tuple[str, ...] = ()
     kind: str = ""
     boxes: int = 64
 
@@ -70,10 +76,12 @@ class Style:
             raise JaxactError("sides must be at least 2.3 m, and widest_door at least 0.9 m")
         rooms, walls = self.rooms[1], 3 if self.lintels else 2
         needed = 4 + walls * (rooms - 1) + 1 + rooms + rooms * self.furniture
-        needed += len(self.on_floor) + len(self.on_furniture)
+        needed += len(self.on_floor) + len(self.on_furniture) + self.fronts + len(self.kept)
         if needed > self.boxes:
             raise JaxactError(f"such houses need {needed} boxes, not {self.boxes}")
-        for name in self.on_floor + self.on_furniture:
+        if self.kept and not self.fronts:
+            raise JaxactError("what is kept needs a fridge that opens: fronts must be at least 1")
+        for name in self.on_floor + self.on_furniture + self.kept:
             categories.index(name)
 
 
@@ -92,6 +100,8 @@ ROOM = Style(
         *("Microwave", "Pan", "Pillow", "Plate", "Pot", "RemoteControl", "Statue", "TeddyBear"),
         *("Toaster", "Tomato"),
     ),
+    fronts=8,
+    kept=("Lettuce", "Egg"),
 )
 # A flat with thin partitions with gaps in them, as RoboTHOR's.
 APARTMENT = Style(
@@ -103,6 +113,8 @@ APARTMENT = Style(
     furniture=8,
     on_floor=_ON_FLOOR,
     on_furniture=(*_ON_FURNITURE, "Book"),
+    fronts=3,
+    kept=("Lettuce",),
 )
 # A floor of several rooms with doorways, as ProcTHOR's houses and Habitat's scans.
 FLOOR = Style(
@@ -118,6 +130,8 @@ FLOOR = Style(
         *("Book", "Book", "Bread", "Candle", "CellPhone", "Cup", "Microwave", "Pillow", "Plate"),
         *("Pot", "RemoteControl", "Statue", "TeddyBear", "Toaster"),
     ),
+    fronts=2,
+    kept=("Lettuce",),
     boxes=128,
 )
 
@@ -159,7 +173,7 @@ def generate(key: jax.Array, style: Style) -> Scene:
     """Draws a house.
 
     A body of up to 0.2 m radius can come from everywhere to everywhere and to within 1 m of all
-    that can be carried, with a free line of sight.
+    that can be carried, with a free line of sight once fridges are open. Everything is shut.
 
     Args:
       key: a PRNG key; `scene_key` gives those of a split.
@@ -173,10 +187,11 @@ def generate(key: jax.Array, style: Style) -> Scene:
         floor_plans.shapes(most),
         furnishing.shapes(most, style.furniture, len(extras)),
         furnishing.shapes_on_furniture(len(objects)),
+        openings.shapes(style.fronts, len(style.kept)),
         ((3,), (style.boxes, 3), (2, 3)),
     ]
     numbers = iter(draw(key, [shape for shapes in parts for shape in shapes]))
-    (draws,), for_plan, for_furniture, for_things, for_colors = (
+    (draws,), for_plan, for_furniture, for_things, for_openings, for_colors = (
         [next(numbers) for _ in shapes] for shapes in parts
     )
     size = jnp.stack(
@@ -194,11 +209,18 @@ def generate(key: jax.Array, style: Style) -> Scene:
         plan = replace(plan, kind=kind[None])
     furniture = furnishing.furnish(for_furniture, plan, style.furniture, extras)
     things = furnishing.set_out(for_things, furniture, objects)
-    return _scene(for_colors, style, plan, furniture, things)
+    kept = tuple(categories.index(name) for name in style.kept)
+    furniture, opens = openings.add_openings(for_openings, furniture, style.fronts, kept)
+    return _scene(for_colors, style, plan, furniture, things, opens)
 
 
 def _scene(
-    draws: list[jax.Array], style: Style, plan: FloorPlan, furniture: Pieces, things: Pieces
+    draws: list[jax.Array],
+    style: Style,
+    plan: FloorPlan,
+    furniture: Pieces,
+    things: Pieces,
+    opens: Openings,
 ) -> Scene:
     """Puts everything into one table of boxes."""
     low, high = plan.structure[:, :3], plan.structure[:, 3:]
@@ -206,17 +228,34 @@ def _scene(
     half = jnp.concatenate([(high - low) / 2, furniture.half_size, things.half_size])
     unturned = jnp.broadcast_to(jnp.array([1, 0], jnp.float32), (len(low), 2))
     turn = jnp.concatenate([unturned, furniture.turn, things.turn])
-    category = jnp.concatenate([plan.category, furniture.category, things.category])
-    placed = jnp.concatenate([plan.category, furniture.place + 1, things.place + 1]) > 0
-    lies = jnp.arange(len(center)) >= len(low) + len(furniture.place)
+    category = jnp.concatenate(
+        [
+            *(plan.category, furniture.category, things.category),
+            *(opens.kept_category, opens.category),
+        ]
+    )
+    placed = jnp.concatenate(
+        [
+            *(plan.category, furniture.place + 1, things.place + 1),
+            *(opens.kept_category, opens.category),
+        ]
+    )
+    placed = placed > 0
+    number = jnp.arange(len(placed), dtype=jnp.int32)
+    fronts = number >= len(placed) - style.fronts
+    lies = (number >= len(low) + len(furniture.place)) & ~fronts
     category = jnp.where(placed, category, 0)
     portable = jnp.where(
         lies, category != categories.index("Television"), jnp.asarray(_PORTABLE)[category]
     )
+    stays = jnp.concatenate([jnp.concatenate([center, half, turn], axis=1), opens.kept])
+    missing = style.boxes - len(placed)
     padding = jnp.array(PADDING, jnp.float32)
-    boxes = jnp.where(placed[:, None], jnp.concatenate([center, half, turn], axis=1), padding)
-    missing = style.boxes - len(boxes)
-    boxes = jnp.concatenate([boxes, jnp.broadcast_to(padding, (missing, 8))])
+
+    def table(rows: jax.Array) -> jax.Array:
+        rows = jnp.where(placed[:, None], jnp.concatenate([stays, rows]), padding)
+        return jnp.concatenate([rows, jnp.broadcast_to(padding, (missing, 8))])
+
     category = jnp.pad(category, (0, missing))
     portable = jnp.pad(portable & placed, (0, missing))
 
@@ -230,11 +269,11 @@ def _scene(
     tint = 2 * surface_draws - 1
     surface += jnp.array([[0.15], [0.05]], jnp.float32) * tint
     return Scene(
-        boxes=boxes,
-        other_boxes=boxes,
+        boxes=table(opens.boxes),
+        other_boxes=table(opens.other_boxes),
         category=category,
         color=jnp.where((category > 0)[:, None], jnp.clip(color, 0.0, 1.0), 0.0),
-        openable=jnp.zeros(style.boxes, bool),
+        openable=jnp.pad(fronts & placed, (0, missing)),
         portable=portable,
         opened=jnp.zeros(style.boxes, bool),
         rooms=plan.rooms,

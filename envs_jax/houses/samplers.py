@@ -119,11 +119,14 @@ class TargetBank:
       bank: the houses.
       fields: with leading axes [S, T].
       findable: bool [S, T], whether there is such a place.
+      lattices: with leading axes [S, T], the shortest walks there; None where the agent does not
+        stay on a lattice.
     """
 
     bank: Bank
     fields: GoalField
     findable: jax.Array
+    lattices: Lattice | None
 
 
 @dataclass(frozen=True)
@@ -169,19 +172,18 @@ class ObjectNavSampler(TaskSampler):
 
         body = self.task.house.body
 
-        def look(house: tuple[Scene, Roadmap]) -> tuple[GoalField, jax.Array]:
+        def look(house: tuple[Scene, Roadmap]) -> tuple[GoalField, jax.Array, Lattice | None]:
             scene, roadmap = house
             blocked = obstacles(scene.boxes, body)
 
-            def survey(target: jax.Array) -> tuple[GoalField, jax.Array]:
+            def survey(target: jax.Array) -> tuple[GoalField, jax.Array, Lattice | None]:
                 places, present = self.task.goals(scene, target)
                 field = goal_field(roadmap, blocked, body.radius, places, present)
-                return field, jnp.any(present)
+                return field, jnp.any(present), self.task.survey(scene, target)
 
             return jax.lax.map(survey, self._targets)
 
-        fields, findable = jax.lax.map(look, (bank.scenes, bank.roadmaps))
-        return TargetBank(bank, fields, findable)
+        return TargetBank(bank, *jax.lax.map(look, (bank.scenes, bank.roadmaps)))
 
     def sample(self, key: jax.Array, sampler_state: PyTree) -> Episode:
         """Draws one episode."""
@@ -190,10 +192,11 @@ class ObjectNavSampler(TaskSampler):
         row = pick(which, targets.bank.size)
         chosen = _choose(target, targets.findable[row])
         scene = jax.tree.map(lambda leaf: leaf[row], targets.bank.scenes)
-        field = jax.tree.map(lambda leaf: leaf[row, chosen], targets.fields)
+        field, lattice = jax.tree.map(
+            lambda leaf: leaf[row, chosen], (targets.fields, targets.lattices)
+        )
         blocked = obstacles(scene.boxes, self.task.house.body)
         category = self._targets[chosen]
-        lattice = self.task.survey(scene, category)
         state = _begin(for_start, self.starts, self.task.house, scene, blocked, field, lattice)
         task_state = self.task.start(field, state, category, lattice)
         return Episode(state, task_state, jnp.int32(self.horizon))

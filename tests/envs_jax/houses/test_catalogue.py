@@ -61,26 +61,13 @@ def test_bad_input_is_one_sentence(options, message):
         navigation(**options)
 
 
-# What experts still fall short of, as measured; a test that passes again says so.
-SHORT = {
-    "Habitat-ObjectNav-v0": "SPL 0.954: it plans a step at a time where it ends within 0.1 m of a "
-    "view point, which steps of 0.25 m seldom meet; longer plans were seen to reach 0.98",
-}
 # SPL counts against straight ways. Who walks on a lattice goes round them: by search over all walks
 # the best there is has 0.907 on average over 63 episodes.
 LEAST = {"iTHOR-ObjectNav-v0": 0.88}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.xfail(reason=SHORT[name], strict=True))
-        if name in SHORT
-        else name
-        for name in IDS
-    ],
-)
+@pytest.mark.parametrize("name", IDS)
 def test_experts_succeed_in_houses_held_out(name):
     pomdp = envs_jax.make(name, observation=(), houses=4)
     sampler = dataclasses.replace(
