@@ -108,7 +108,7 @@ def batch_of_lanes(batch: Batch, output: Any) -> tuple[Batch, Any]:
     Returns:
       Both as of B · A lanes with one agent each, [T, B · A, ...]; without the model's memory.
     """
-    agents = batch.reward.shape[2]
+    agents = batch.terminated.shape[2]
     changed: dict[str, Any] = {}
     for name in _OF_AGENTS:
         changed[name] = as_lanes(getattr(batch, name), 2)

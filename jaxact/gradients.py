@@ -100,7 +100,7 @@ class GradientStep:
         params, own = trained
         whole = batch
         output, memory = forward(self.model, params, whole)
-        if batch.reward.ndim > 2:
+        if batch.terminated.ndim > batch.is_first.ndim:
             batch, output = batch_of_lanes(whole, output)
         total, priority = jnp.float32(0), None
         metrics: Metrics = {}
