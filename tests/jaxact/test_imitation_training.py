@@ -5,7 +5,6 @@ Weights are numbers, so that each entry of `SETTINGS` is a run with losses of it
 
 from dataclasses import dataclass, replace
 
-import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,6 +25,7 @@ from jaxact.pomdp import ExpertAction
 from jaxact.spaces import Discrete
 from jaxact.train_state import make_key
 from tests.corridor import Corridor, ReachEnd, corridor
+from tests.tiny import Plain
 
 LANES, LENGTH, UPDATES = 16, 8, 60
 # The first two actions go left and the last two right; of either two the expert prefers the first.
@@ -49,14 +49,6 @@ class Preferring(ReachEnd):
         advice = super().expert(key, task_state, state)
         policy = jnp.kron(jax.nn.one_hot(advice.action, 2), PREFERENCE)
         return ExpertAction(2 * advice.action, advice.valid, policy)
-
-
-class Plain(nn.Module):
-    """One layer; orthogonal initialisers take seconds to compile."""
-
-    @nn.compact
-    def __call__(self, vector):
-        return nn.tanh(nn.Dense(16)(vector))
 
 
 LOSSES = {
