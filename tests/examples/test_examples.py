@@ -32,7 +32,9 @@ def shrunk(experiment):
             overrides={
                 **stage.overrides,
                 "rollout_length": max(
-                    2, *(getattr(x, "window", 0) for x in stage.storages.values()), 0
+                    2,
+                    *(loss.least_length for loss in stage.losses.values()),
+                    *(getattr(x, "window", 0) for x in stage.storages.values()),
                 ),
                 "epochs": 1,
             },
