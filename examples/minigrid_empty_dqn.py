@@ -11,13 +11,14 @@ from jaxact.schedules import Linear
 from jaxact.storages import Replay
 
 pomdp = envs_jax.make("MiniGrid-Empty-Random-6x6-v0", observation="full")
+# Ways are short: at 0.99 the values of all actions would be nearly the same.
 replay = Replay(
-    losses={"dqn": DQN(double=False, target=Target(every=200))},
-    capacity=1024,
+    losses={"dqn": DQN(discount=0.9, double=False, target=Target(every=200))},
+    capacity=2048,
     lanes=128,
     length=2,
     updates=8,
-    start_after=5_000,
+    start_after=2_000,
 )
 
 experiment = Experiment(
@@ -29,12 +30,12 @@ experiment = Experiment(
             Stage(
                 losses={},
                 storages={"replay": replay},
-                steps=200_000,
-                exploration=Linear(1.0, 0.05, steps=1e5),
+                steps=80_000,
+                exploration=Linear(1.0, 0.05, steps=4e4),
             ),
         ),
-        lanes=32,
-        rollout_length=16,
+        lanes=16,
+        rollout_length=8,
         learning_rate=5e-4,
         max_grad_norm=10.0,
     ),
