@@ -45,6 +45,10 @@ OFFLINE = {"offline": DemonstrationStorage(losses={"bc": Imitation()}, path="now
         (lambda: CPCA(action_space=Discrete(2), steps=0), "steps of CPCA must be at least 1"),
         (lambda: GroupedImitation(((), (0, 1))), "each of one or more numbers from 0"),
         (lambda: Stage({"ppo": PPO}, 1), r"'ppo' of a stage is no loss .* write PPO\(...\)"),
+        (
+            lambda: Stage({}, 1, storages=replay(VTrace)),
+            r"'it' of storage 'replay' is no loss .* write VTrace\(...\)",
+        ),
         (lambda: Stage({"ppo": 0.5}, 1), "'ppo' of a stage is no loss but 0.5"),
         (
             lambda: Stage({}, 1, storages=OFFLINE, teacher_forcing=0.5),
