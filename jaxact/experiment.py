@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import flax.linen as nn
 import jax
+import jax.numpy as jnp
 
 from jaxact.errors import JaxactError, unknown
+from jaxact.loss_checks import check_losses
 from jaxact.losses.base import Rewarding
 from jaxact.pipeline import Stage, TrainingPipeline
 from jaxact.pomdp import POMDP
@@ -35,8 +38,8 @@ class Experiment:
         """Finds what cannot work before anything compiles.
 
         Raises:
-          JaxactError: sizes that do not divide, losses that need an expert where there is none,
-            overrides that name nothing.
+          JaxactError: sizes that do not divide, losses that need an expert where there is none or
+            cannot work where they stand, overrides that name nothing.
         """
         pipeline = self.pipeline
         self._check_agents()
@@ -66,6 +69,15 @@ class Experiment:
                     f"{where} imitates or forces an expert, but "
                     f"{type(self.pomdp.task).__name__} has no method expert(key, task_state, state)"
                 )
+        inputs = jax.eval_shape(self.zero_inputs)
+        (output, _), _ = jax.eval_shape(self.model.init_with_output, jax.random.key(0), *inputs)
+        check_losses(pipeline, self.pomdp.action_space, output, inputs[0], inputs[2])
+
+    def zero_inputs(self) -> tuple[Any, ...]:
+        """Returns what the model is called with, of zeros, for one lane."""
+        zeros = jax.tree.map(lambda x: x[None], self.pomdp.observation_space.zeros())
+        action = jax.tree.map(lambda x: x[None], self.pomdp.action_space.zeros())
+        return zeros, self.model.initial_memory(1), action, jnp.ones(1, bool)
 
     def _check_agents(self) -> None:
         space = self.pomdp.action_space

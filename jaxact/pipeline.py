@@ -75,11 +75,7 @@ class Stage:
     def __post_init__(self) -> None:
         if not self.losses and not self.storages:
             raise JaxactError("a stage needs at least one loss, for example {'ppo': PPO()}")
-        for name, loss in self.losses.items():
-            if not isinstance(loss, Loss):
-                kind = loss.__name__ if isinstance(loss, type) else type(loss).__name__
-                hint = f"; write {kind}(...)" if isinstance(loss, type) else ""
-                raise JaxactError(f"loss {name!r} of a stage is no loss but {loss!r}{hint}")
+        _check_losses("a stage", self.losses)
         for name in ("teacher_forcing", "stop", "exploration"):
             if not self.acts and getattr(self, name) is not None:
                 raise JaxactError(
@@ -90,6 +86,7 @@ class Stage:
             if name not in self.losses:
                 raise unknown("loss in a stage's weights", name, self.losses)
         for of, storage in self.storages.items():
+            _check_losses(f"storage {of!r}", storage.losses)
             for name, loss in storage.losses.items():
                 rewards = isinstance(self.losses.get(name), Rewarding)
                 if isinstance(loss, Rewarding) and not rewards:
@@ -119,6 +116,13 @@ class Stage:
         """
         weights = {name: value_at(weight, steps) for name, weight in self.rewards.items()}
         return sum((weights.get(n, 1.0) * x for n, x in terms.items()), start=jnp.float32(0))
+
+
+def _check_losses(of: str, losses: Mapping[str, Any]) -> None:
+    for name, loss in losses.items():
+        if not isinstance(loss, Loss):
+            hint = f"; write {loss.__name__}(...)" if isinstance(loss, type) else ""
+            raise JaxactError(f"loss {name!r} of {of} is no loss but {loss!r}{hint}")
 
 
 @dataclass(frozen=True)

@@ -79,15 +79,7 @@ def optimizer_for(settings: Any, learning_rate: jax.Array | float) -> optax.Grad
 
 def init_params(experiment: Experiment, key: jax.Array) -> PyTree:
     """Initialises the model's parameters."""
-    return experiment.model.init(key, *_zero_inputs(experiment))
-
-
-def _zero_inputs(experiment: Experiment) -> tuple[Any, ...]:
-    """Returns what the model is called with, of zeros, for one lane."""
-    pomdp, model = experiment.pomdp, experiment.model
-    zeros = jax.tree.map(lambda x: x[None], pomdp.observation_space.zeros())
-    action = jax.tree.map(lambda x: x[None], pomdp.action_space.zeros())
-    return zeros, model.initial_memory(1), action, jnp.ones(1, bool)
+    return experiment.model.init(key, *experiment.zero_inputs())
 
 
 def _init_losses(experiment: Experiment, params: PyTree, key: jax.Array) -> dict[str, Any]:
@@ -98,7 +90,7 @@ def _init_losses(experiment: Experiment, params: PyTree, key: jax.Array) -> dict
             losses |= {n: x for n, x in group.items() if x.has_variables and n not in losses}
     if not losses:
         return {}
-    inputs = _zero_inputs(experiment)
+    inputs = experiment.zero_inputs()
     output, _ = experiment.model.apply(params, *inputs)
     keys = jax.random.split(key, len(losses))
     variables = {

@@ -2,11 +2,14 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from jaxact.loading import load_experiment
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 README = REPOSITORY / "README.md"
@@ -62,6 +65,30 @@ def test_code_of_the_readme_runs(shortened, tmp_path):
     rates = [float(x) for x in search.strip("[]").split(", ")]
     assert len(rates) == 4
     assert all(0 <= rate <= 1 for rate in rates)
+
+
+def test_the_warm_start_is_a_patch_of_the_example(tmp_path):
+    """Applied as it stands to the example as it stands, it gives an experiment that can work."""
+    (patch,) = re.findall(r"^```diff\n(.*?)^```$", README.read_text(encoding="utf-8"), re.M | re.S)
+    (name,) = re.findall(r"^--- a/(\S+)$", patch, re.M)
+    (tmp_path / "examples").mkdir()
+    shutil.copy(REPOSITORY / name, tmp_path / name)
+    before, _ = load_experiment(str(tmp_path / name))
+    subprocess.run(
+        ["git", "apply", "--verbose", "-"],
+        cwd=tmp_path,
+        # Else git, inside of a repository, would take the paths for that one's.
+        env=os.environ | {"GIT_CEILING_DIRECTORIES": str(tmp_path.parent)},
+        input=patch,
+        text=True,
+        capture_output=True,
+        check=True,
+    )
+    after, _ = load_experiment(str(tmp_path / name))
+    after.check()
+    assert [list(stage.losses) for stage in before.pipeline.stages] == [["ppo"]]
+    assert [list(stage.losses) for stage in after.pipeline.stages] == [["imitation"], ["ppo"]]
+    assert sum(stage.steps for stage in after.pipeline.stages) == before.pipeline.stages[0].steps
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ import dataclasses
 import functools
 from typing import Any
 
+import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -34,6 +35,15 @@ OPTIONS: dict[str, Any] = {
     "keep_last": 10,
     "progress": False,
 }
+
+
+class Plain(nn.Module):
+    """An encoder of one layer; orthogonal initialisers take seconds to compile."""
+
+    @nn.compact
+    def __call__(self, vector: jax.Array) -> jax.Array:
+        """Maps vectors [..., D] to features [..., 16]."""
+        return nn.tanh(nn.Dense(16)(vector))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxact.errors import JaxactError
-from jaxact.losses.base import Batch, Loss, Progress
+from jaxact.losses.base import Batch, Loss, Progress, check_actor
 from jaxact.losses.policy_gradient import PolicyGradient
 from jaxact.losses.ppo import PPO
 from jaxact.models.output import ActorCriticOutput
@@ -43,6 +43,10 @@ class Advisor(Loss):
     reinforcement: PolicyGradient = field(default_factory=PPO)
     alpha: float | Schedule = 8.0
     bound: float = 0.0
+
+    def check_model(self, output: ActorCriticOutput) -> None:
+        """Refuses models with less than two actors."""
+        _check_two_actors(self, output)
 
     def __call__(
         self, output: ActorCriticOutput, batch: Batch, progress: Progress
@@ -81,6 +85,10 @@ class AdvisorImitation(Loss):
     alpha: float | Schedule = 0.0
     bound: float = 0.0
 
+    def check_model(self, output: ActorCriticOutput) -> None:
+        """Refuses models with less than two actors."""
+        _check_two_actors(self, output)
+
     def __call__(
         self, output: ActorCriticOutput, batch: Batch, progress: Progress
     ) -> tuple[jax.Array, dict[str, jax.Array]]:
@@ -96,11 +104,6 @@ def imitate(
     output: ActorCriticOutput, batch: Batch, alpha: jax.Array, bound: float | jax.Array
 ) -> tuple[jax.Array, dict[str, jax.Array], jax.Array]:
     """Returns ADVISOR's imitation loss, its parts, and the weight w, float32 [T, B]."""
-    if "auxiliary_distribution" not in output.extras:
-        raise JaxactError(
-            "ADVISOR compares two actors; give the model a second one: "
-            "ActorCritic(..., auxiliary_actor=True)"
-        )
     expert = batch.advice
     auxiliary = output.extras["auxiliary_distribution"].log_prob(expert.action)
     main = output.distribution.log_prob(expert.action)
@@ -113,3 +116,12 @@ def imitate(
     }
     loss = parts["auxiliary_cross_entropy"] - batch.mean(weight * main)
     return loss, parts, weight
+
+
+def _check_two_actors(loss: Loss, output: ActorCriticOutput) -> None:
+    check_actor(loss, output)
+    if "auxiliary_distribution" not in output.extras:
+        raise JaxactError(
+            "ADVISOR compares two actors; give the model a second one: "
+            "ActorCritic(..., auxiliary_actor=True)"
+        )

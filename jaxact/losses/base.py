@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 
+from jaxact.distributions import EpsilonGreedy
 from jaxact.errors import JaxactError
 from jaxact.models.output import ActorCriticOutput
 from jaxact.pomdp import ExpertAction, PyTree
@@ -182,16 +183,34 @@ class Loss(ABC):
       needs_rollout: whether it means something only on what the policy itself has just done.
       needs: names of fields of `Batch` that it reads and that not all storages know: log_prob,
         reward.
+      tells_priority: whether it tells, under `PRIORITY`, how much there is to learn from sequences.
     """
 
     needs_expert: ClassVar[bool] = False
     needs_rollout: ClassVar[bool] = False
     needs: ClassVar[frozenset[str]] = frozenset()
+    tells_priority: ClassVar[bool] = False
 
     @property
     def has_variables(self) -> bool:
         """Whether it has variables of its own; by default, whether `init` is overridden."""
         return type(self).init is not Loss.init
+
+    @property
+    def least_length(self) -> int:
+        """Steps of the shortest sequence that it learns anything from; by default one."""
+        return 1
+
+    def check_model(self, output: ActorCriticOutput) -> None:
+        """Finds that it cannot learn with a model, before anything compiles; by default it can.
+
+        Args:
+          output: of the model, with shapes and dtypes in place of arrays.
+
+        Raises:
+          JaxactError: the model lacks what the loss works on.
+        """
+        del output
 
     def init(
         self, key: jax.Array, output: ActorCriticOutput, observation: PyTree, action: PyTree
@@ -222,6 +241,19 @@ class Loss(ABC):
         `batch.mean`, so that the loss is that of the global batch on any number of devices. One
         entry of the named may be `PRIORITY`, float32 [B].
         """
+
+
+def check_actor(loss: Loss, output: ActorCriticOutput) -> None:
+    """Refuses models that have no policy of their own, for losses that teach one.
+
+    Raises:
+      JaxactError: the model's actions are the greedy ones of values.
+    """
+    if isinstance(output.distribution, EpsilonGreedy):
+        raise JaxactError(
+            f"{type(loss).__name__} learns a policy, but the model's actions are the greedy "
+            "ones of values: use a model with an actor, such as ActorCritic, or DQN or PQN"
+        )
 
 
 @runtime_checkable

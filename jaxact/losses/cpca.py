@@ -47,6 +47,15 @@ class _ActionConditional(Loss):
         check_at_least(1, type(self).__name__, steps=self.steps)
 
     @property
+    def least_length(self) -> int:
+        """Two: a step and its successor."""
+        return 2
+
+    def check_model(self, output: ActorCriticOutput) -> None:
+        """Refuses models without the belief asked for."""
+        named_features(output, self.belief)
+
+    @property
     @abstractmethod
     def _model(self) -> nn.Module:
         """A module (expectations [K, T, B, H], embedding [T, B, F], exchange) -> comparisons."""

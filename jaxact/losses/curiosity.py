@@ -47,6 +47,11 @@ class Curiosity(Loss):
     beta: float = 0.2
 
     @property
+    def least_length(self) -> int:
+        """Two: a step and its successor."""
+        return 2
+
+    @property
     def _dynamics(self) -> _Dynamics:
         return _Dynamics(self.action_space, self.hidden)
 

@@ -45,6 +45,7 @@ class DQN(Loss):
     """
 
     needs: ClassVar[frozenset[str]] = frozenset({"reward"})
+    tells_priority: ClassVar[bool] = True
 
     discount: float = 0.99
     n_step: int = 1
@@ -57,12 +58,20 @@ class DQN(Loss):
     def __post_init__(self) -> None:
         check_at_least(1, "DQN", n_step=self.n_step)
 
+    @property
+    def least_length(self) -> int:
+        """Two: a step and its successor."""
+        return 2
+
+    def check_model(self, output: ActorCriticOutput) -> None:
+        """Refuses models without action values."""
+        action_values(output)
+
     def init(
         self, key: jax.Array, output: ActorCriticOutput, observation: PyTree, action: PyTree
     ) -> dict[str, PyTree]:
         """Returns the number of gradient steps taken; `follow` adds the target network."""
-        del key, observation, action
-        action_values(output)
+        del key, output, observation, action
         return {"steps": jnp.int32(0)}
 
     def follow(self, variables: dict[str, PyTree], params: PyTree) -> dict[str, PyTree]:

@@ -20,16 +20,19 @@ class FusionEntropy(Loss):
     Needs a model with several beliefs, `ActorCritic(..., memory=MultipleBeliefs(...))`.
     """
 
-    def __call__(
-        self, output: ActorCriticOutput, batch: Batch, progress: Progress
-    ) -> tuple[jax.Array, dict[str, jax.Array]]:
-        """Returns the loss, with entropy and each belief's mean weight."""
-        del progress
+    def check_model(self, output: ActorCriticOutput) -> None:
+        """Refuses models with one belief."""
         if "fusion" not in output.extras:
             raise JaxactError(
                 "the entropy of a fusion needs a model with several beliefs; give it some: "
                 "ActorCritic(..., memory=MultipleBeliefs(...))"
             )
+
+    def __call__(
+        self, output: ActorCriticOutput, batch: Batch, progress: Progress
+    ) -> tuple[jax.Array, dict[str, jax.Array]]:
+        """Returns the loss, with entropy and each belief's mean weight."""
+        del progress
         weights = output.extras["fusion"]
         # The limit of w log w at 0 is 0.
         terms = [w * jnp.log(jnp.maximum(w, 1e-12)) for w in weights.values()]

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxact.distributions import Categorical
 from jaxact.errors import JaxactError
-from jaxact.losses.base import Batch, Loss, Progress
+from jaxact.losses.base import Batch, Loss, Progress, check_actor
 from jaxact.models.output import ActorCriticOutput
 
 
@@ -26,6 +26,10 @@ class Imitation(Loss):
     """
 
     needs_expert: ClassVar[bool] = True
+
+    def check_model(self, output: ActorCriticOutput) -> None:
+        """Refuses models without a policy of their own."""
+        check_actor(self, output)
 
     def __call__(
         self, output: ActorCriticOutput, batch: Batch, progress: Progress
@@ -71,12 +75,20 @@ class GroupedImitation(Loss):
     groups: tuple[tuple[int, ...], ...]
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "groups", tuple(tuple(group) for group in self.groups))
         listed = [action for group in self.groups for action in group]
         if len(set(listed)) < len(listed) or min(listed, default=0) < 0 or () in self.groups:
             raise JaxactError(
                 f"groups of actions must be disjoint, and each of one or more numbers from 0; "
                 f"got {self.groups}"
             )
+
+    def check_model(self, output: ActorCriticOutput) -> None:
+        """Refuses policies that are not categorical, and actions that there are not."""
+        actions = _categorical(output).logits.shape[-1]
+        highest = max((action for group in self.groups for action in group), default=0)
+        if highest >= actions:
+            raise JaxactError(f"there are {actions} actions, so none is {highest}")
 
     def __call__(
         self, output: ActorCriticOutput, batch: Batch, progress: Progress
@@ -86,8 +98,6 @@ class GroupedImitation(Loss):
         expert, distribution = batch.advice, _categorical(output)
         together = np.eye(distribution.logits.shape[-1], dtype=bool)
         for group in self.groups:
-            if max(group) >= len(together):
-                raise JaxactError(f"there are {len(together)} actions, so none is {max(group)}")
             together[np.ix_(group, group)] = True
         log_probs = jax.nn.log_softmax(distribution.logits)
         in_group = jnp.asarray(together)[expert.action]

@@ -32,6 +32,15 @@ class InverseDynamics(Loss):
     action_space: Space
     belief: str = "belief"
 
+    @property
+    def least_length(self) -> int:
+        """Two: a step and its successor."""
+        return 2
+
+    def check_model(self, output: ActorCriticOutput) -> None:
+        """Refuses models without the belief asked for."""
+        named_features(output, self.belief)
+
     def init(
         self, key: jax.Array, output: ActorCriticOutput, observation: PyTree, action: PyTree
     ) -> dict[str, PyTree]:

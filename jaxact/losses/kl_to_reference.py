@@ -30,6 +30,10 @@ class KLToReference(Loss):
     run: str | None = None
     forward: bool = True
 
+    def check_model(self, output: ActorCriticOutput) -> None:
+        """Refuses policies of which the divergence is not known in closed form."""
+        jax.eval_shape(lambda policy: policy.kl(policy), output.distribution)
+
     def init(
         self, key: jax.Array, output: ActorCriticOutput, observation: PyTree, action: PyTree
     ) -> dict[str, PyTree]:

@@ -8,9 +8,7 @@ from typing import ClassVar
 
 import jax
 
-from jaxact.distributions import EpsilonGreedy
-from jaxact.errors import JaxactError
-from jaxact.losses.base import Batch, Loss, Progress
+from jaxact.losses.base import Batch, Loss, Progress, check_actor
 from jaxact.models.output import ActorCriticOutput
 from jaxact.schedules import Schedule, value_at
 
@@ -48,6 +46,10 @@ class PolicyGradient(Loss):
     entropy: float | Schedule = 0.01
     normalize_advantage: bool = True
 
+    def check_model(self, output: ActorCriticOutput) -> None:
+        """Refuses models without a policy of their own."""
+        check_actor(self, output)
+
     @abstractmethod
     def terms(self, output: ActorCriticOutput, batch: Batch, progress: Progress) -> StepTerms:
         """Returns the terms at every step."""
@@ -60,11 +62,6 @@ class PolicyGradient(Loss):
         self, output: ActorCriticOutput, batch: Batch, progress: Progress
     ) -> tuple[jax.Array, dict[str, jax.Array]]:
         """Returns the loss and its parts: policy, value, entropy and the terms' details."""
-        if isinstance(output.distribution, EpsilonGreedy):
-            raise JaxactError(
-                f"{type(self).__name__} learns a policy, but the model's actions are the greedy "
-                "ones of values: use a model with an actor, such as ActorCritic, or DQN or PQN"
-            )
         terms = self.terms(output, batch, progress)
         parts = {
             "policy": batch.mean(terms.policy),

@@ -25,6 +25,10 @@ class PQN(Loss):
 
     needs_rollout: ClassVar[bool] = True
 
+    def check_model(self, output: ActorCriticOutput) -> None:
+        """Refuses models without action values."""
+        action_values(output)
+
     def __call__(
         self, output: ActorCriticOutput, batch: Batch, progress: Progress
     ) -> tuple[jax.Array, dict[str, jax.Array]]:

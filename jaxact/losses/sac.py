@@ -73,17 +73,26 @@ class SAC(Loss):
 
     _names: ClassVar[tuple[str, str]] = ("critic_0", "critic_1")
 
+    @property
+    def least_length(self) -> int:
+        """Two: a step and its successor."""
+        return 2
+
+    def check_model(self, output: ActorCriticOutput) -> None:
+        """Refuses policies other than those squashed into a box."""
+        if not isinstance(output.distribution, SquashedNormal):
+            raise JaxactError(
+                "SAC is for policies on a bounded box, ActorCritic(..., squashed=True), not for "
+                f"{type(output.distribution).__name__}"
+            )
+
     def init(
         self, key: jax.Array, output: ActorCriticOutput, observation: PyTree, action: PyTree
     ) -> dict[str, PyTree]:
         """Returns the critics, the logarithm of the temperature, and the number of gradient steps
         taken; `follow` adds the critics' averages.
         """
-        if not isinstance(output.distribution, SquashedNormal):
-            raise JaxactError(
-                "SAC is for policies on a bounded box, ActorCritic(..., squashed=True), not for "
-                f"{type(output.distribution).__name__}"
-            )
+        del output
         critics = {
             name: self.critic.init(key, observation, action)
             for name, key in zip(self._names, jax.random.split(key), strict=True)

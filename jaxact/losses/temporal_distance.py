@@ -44,6 +44,15 @@ class TemporalDistance(Loss):
     def __post_init__(self) -> None:
         check_at_least(1, "TemporalDistance", pairs=self.pairs)
 
+    @property
+    def least_length(self) -> int:
+        """Of an episode with more than `longer_than` steps from first to last."""
+        return self.longer_than + 2
+
+    def check_model(self, output: ActorCriticOutput) -> None:
+        """Refuses models without the belief asked for."""
+        named_features(output, self.belief)
+
     def init(
         self, key: jax.Array, output: ActorCriticOutput, observation: PyTree, action: PyTree
     ) -> dict[str, PyTree]:

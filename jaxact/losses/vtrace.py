@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxact import returns
-from jaxact.losses.base import Batch, Loss, Progress
+from jaxact.losses.base import Batch, Loss, Progress, check_actor
 from jaxact.models.output import ActorCriticOutput
 from jaxact.schedules import Schedule, value_at
 
@@ -39,6 +39,15 @@ class VTrace(Loss):
     discount: float = 0.99
     lambda_: float = 1.0
     clip: float = 1.0
+
+    @property
+    def least_length(self) -> int:
+        """Two: a step and its successor."""
+        return 2
+
+    def check_model(self, output: ActorCriticOutput) -> None:
+        """Refuses models without a policy of their own."""
+        check_actor(self, output)
 
     def __call__(
         self, output: ActorCriticOutput, batch: Batch, progress: Progress

@@ -14,8 +14,8 @@ from jaxact.models.encoders import InstructedGrid as InstructedGrid
 from jaxact.models.encoders import Vector as Vector
 from jaxact.models.encoders import WordsGRU as WordsGRU
 from jaxact.models.film_actor_critic import FiLMActorCritic as FiLMActorCritic
+from jaxact.models.heads import ActionValueHead as ActionValueHead
 from jaxact.models.heads import ActorHead as ActorHead
-from jaxact.models.heads import DuelingHead as DuelingHead
 from jaxact.models.memory import GRU as GRU
 from jaxact.models.memory import LSTM as LSTM
 from jaxact.models.memory import NoMemory as NoMemory
@@ -27,6 +27,7 @@ from jaxact.models.resnet import ResNet as ResNet
 __all__ = [
     "GRU",
     "LSTM",
+    "ActionValueHead",
     "ActorCritic",
     "ActorCriticOutput",
     "ActorHead",
@@ -34,7 +35,6 @@ __all__ = [
     "BagOfWords",
     "BidirectionalWords",
     "Concatenated",
-    "DuelingHead",
     "Embedding",
     "FiLM",
     "FiLMActorCritic",

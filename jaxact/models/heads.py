@@ -69,22 +69,27 @@ def _squashed(space: Box, parameters: jax.Array) -> SquashedNormal:
     return SquashedNormal(mean, log_std, centre, jnp.full_like(mean, space.high) - centre)
 
 
-class DuelingHead(nn.Module):
-    """From features to action values, as value plus advantage (Wang et al. 2016, equation 9).
+class ActionValueHead(nn.Module):
+    """From features to action values.
 
     Attributes:
       actions: how many there are.
-      hidden: size of the layer before each of the two.
+      hidden: size of the layer before the values; if dueling, of that before each of the two.
       layer_norm: whether that layer is normalised (Ba et al. 2016).
+      dueling: whether they are made as value plus advantage (Wang et al. 2016, equation 9).
     """
 
     actions: int
     hidden: int
     layer_norm: bool = False
+    dueling: bool = True
 
     @nn.compact
     def __call__(self, features: jax.Array) -> jax.Array:
         """Maps [batch, F] to Q, float32 [batch, actions]."""
+        if not self.dueling:
+            q: jax.Array = nn.Dense(self.actions, kernel_init=_INITIAL)(self._layer(features))
+            return q
         value = nn.Dense(1, kernel_init=_INITIAL)(self._layer(features))
         advantage = nn.Dense(self.actions, kernel_init=_INITIAL)(self._layer(features))
         return value + advantage - jnp.mean(advantage, axis=-1, keepdims=True)

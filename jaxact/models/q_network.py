@@ -11,14 +11,14 @@ import jax.numpy as jnp
 
 from jaxact.distributions import EpsilonGreedy
 from jaxact.errors import JaxactError
-from jaxact.models.heads import DuelingHead
+from jaxact.models.heads import ActionValueHead
 from jaxact.models.memory import GRU
 from jaxact.models.output import ActorCriticOutput
 from jaxact.spaces import Discrete, Space
 
 
 class QNetwork(nn.Module):
-    """A recurrent dueling network, in the place of an `ActorCritic`.
+    """A recurrent network of action values, in the place of an `ActorCritic`.
 
     It acts greedily, whether its actions are sampled or its mode is taken; how often it tries
     something else while it learns is the stage's `exploration`.
@@ -30,6 +30,8 @@ class QNetwork(nn.Module):
       hidden: size of the head's layers.
       layer_norm: whether the features and the head's layers are normalised; what keeps `PQN`, which
         has no target network, from diverging.
+      dueling: whether values are made as the state's value plus the action's advantage (Wang et al.
+        2016), or at once (Mnih et al. 2015).
     """
 
     action_space: Space
@@ -37,6 +39,7 @@ class QNetwork(nn.Module):
     memory: nn.Module = GRU(128)
     hidden: int = 128
     layer_norm: bool = False
+    dueling: bool = True
 
     @nn.compact
     def __call__(
@@ -59,7 +62,10 @@ class QNetwork(nn.Module):
         embedding = self.encoder(observation)
         features = nn.LayerNorm()(embedding) if self.layer_norm else embedding
         belief, memory = self.memory(features, memory, is_first)
-        q = DuelingHead(self.action_space.n, self.hidden, self.layer_norm, name="q")(belief)
+        head = ActionValueHead(
+            self.action_space.n, self.hidden, self.layer_norm, self.dueling, name="q"
+        )
+        q = head(belief)
         value = jnp.max(q, axis=-1)
         extras = {"q": q, "embedding": embedding, "belief": belief}
         return ActorCriticOutput(EpsilonGreedy(q, jnp.zeros_like(value)), value, extras), memory

@@ -1,6 +1,7 @@
 """Every shipped experiment loads, can work, and trains for an update."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from examples import advisor
 from jaxact import train
 from jaxact.collect import collect
-from jaxact.loading import load_experiment, shipped_examples
+from jaxact.loading import EXAMPLES, load_experiment, shipped_examples
 from jaxact.overrides import numbers
 from jaxact.storages import DemonstrationStorage, Replay
 
@@ -32,7 +33,9 @@ def shrunk(experiment):
             overrides={
                 **stage.overrides,
                 "rollout_length": max(
-                    2, *(getattr(x, "window", 0) for x in stage.storages.values()), 0
+                    2,
+                    *(loss.least_length for loss in stage.losses.values()),
+                    *(getattr(x, "window", 0) for x in stage.storages.values()),
                 ),
                 "epochs": 1,
             },
@@ -48,6 +51,15 @@ def test_examples_can_work(name):
     experiment, _ = load_experiment(name)
     experiment.check()
     assert experiment.name.startswith(name)
+
+
+def test_the_readme_lists_all_examples():
+    text = (EXAMPLES.parent / "README.md").read_text(encoding="utf-8")
+    section = text.split("\n## Examples\n")[1].split("\n## ")[0]
+    listed = re.findall(r"^\| `(\S+)` \| .+ \|$", section, re.M)
+    assert sorted(listed) == sorted(
+        x.name for x in EXAMPLES.iterdir() if x.suffix in (".py", ".ipynb")
+    )
 
 
 def test_all_of_advisors_experiments_can_work():

@@ -287,5 +287,3 @@ def test_entropy_of_the_fusion():
     (loss, _), gradient = graded(certain)
     assert float(loss) == 0.0
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(gradient))
-    with pytest.raises(JaxactError, match="MultipleBeliefs"):
-        FusionEntropy()(output_of(), BATCH, PROGRESS)

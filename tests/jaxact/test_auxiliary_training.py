@@ -9,7 +9,6 @@ import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -34,17 +33,8 @@ from jaxact.program import Program, choose_devices
 from jaxact.storages.base import Storage
 from jaxact.train_state import make_key
 from tests.corridor import corridor
-from tests.tiny import assert_same
+from tests.tiny import Plain, assert_same
 from tests.windows import batch_of
-
-
-class Plain(nn.Module):
-    """One layer; orthogonal initialisers take seconds to compile."""
-
-    @nn.compact
-    def __call__(self, vector):
-        return nn.tanh(nn.Dense(16)(vector))
-
 
 LANES, LENGTH, UPDATES = 16, 8, 40
 WORLD = corridor()

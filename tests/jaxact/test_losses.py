@@ -294,12 +294,6 @@ def test_advisors_auxiliary_actor_learns_from_imitation_alone():
     np.testing.assert_allclose(gradient, expected, atol=1e-6)
 
 
-def test_advisor_needs_an_auxiliary_actor():
-    output = ActorCriticOutput(Categorical(jnp.zeros((T, B, N))), jnp.zeros((T, B)))
-    with pytest.raises(JaxactError, match="auxiliary_actor=True"):
-        Advisor()(output, batch_of(draw()), PROGRESS)
-
-
 def test_experts_policies_are_imitated_whole():
     """The cross-entropy with a policy is that with its actions, averaged; minimal at the policy."""
     x = draw()
@@ -318,7 +312,9 @@ def test_experts_policies_are_imitated_whole():
 @pytest.mark.parametrize("groups", [((0, 1), (1, 2)), ((-1, 0),), ((0, N),)])
 def test_groups_that_are_no_groups_of_actions(groups):
     with pytest.raises(JaxactError, match=r"disjoint|so none is"):
-        loss_of(GroupedImitation(groups), batch_of(draw()))(jnp.zeros((T, B, N)), jnp.zeros((T, B)))
+        GroupedImitation(groups).check_model(
+            ActorCriticOutput(Categorical(jnp.zeros((T, B, N))), jnp.zeros((T, B)))
+        )
 
 
 def test_imitation_needs_an_expert():

@@ -2,25 +2,34 @@
 
 import dataclasses
 
-import jax
 import pytest
 
 import jaxact
 from jaxact import JaxactError, Stage
 from jaxact.losses import (
+    A2C,
     CPCA,
     DQN,
+    GAIL,
     PPO,
+    PQN,
+    SAC,
+    Advisor,
+    Critic,
     Curiosity,
+    FusionEntropy,
     GroupedImitation,
     Imitation,
+    InverseDynamics,
+    KLToReference,
     Target,
     TemporalDistance,
+    VTrace,
 )
 from jaxact.models import Concatenated, NoMemory, QNetwork, Vector
 from jaxact.search_space import uniform
 from jaxact.spaces import Discrete
-from jaxact.storages import DemonstrationStorage
+from jaxact.storages import DemonstrationStorage, PrioritizedReplay, Replay
 from tests.corridor import corridor
 from tests.tiny import experiment
 
@@ -36,6 +45,10 @@ OFFLINE = {"offline": DemonstrationStorage(losses={"bc": Imitation()}, path="now
         (lambda: CPCA(action_space=Discrete(2), steps=0), "steps of CPCA must be at least 1"),
         (lambda: GroupedImitation(((), (0, 1))), "each of one or more numbers from 0"),
         (lambda: Stage({"ppo": PPO}, 1), r"'ppo' of a stage is no loss .* write PPO\(...\)"),
+        (
+            lambda: Stage({}, 1, storages=replay(VTrace)),
+            r"'it' of storage 'replay' is no loss .* write VTrace\(...\)",
+        ),
         (lambda: Stage({"ppo": 0.5}, 1), "'ppo' of a stage is no loss but 0.5"),
         (
             lambda: Stage({}, 1, storages=OFFLINE, teacher_forcing=0.5),
@@ -53,23 +66,141 @@ def test_numbers_and_things_that_mean_nothing(make, message):
         make()
 
 
-def with_losses(losses, **changes):
+ACTIONS, ENCODER = corridor().action_space, Concatenated({"vector": Vector((4,))})
+GREEDY = QNetwork(ACTIONS, ENCODER, NoMemory())
+CURIOUS = Curiosity(action_space=ACTIONS, encoder=ENCODER, hidden=8)
+DISCRIMINATOR = GAIL(action_space=ACTIONS, encoder=ENCODER)
+JUDGE = dataclasses.replace(DISCRIMINATOR, demonstrations=True)
+SIDES = {"ppo": PPO(), "gail": DISCRIMINATOR}
+
+
+def stage_of(losses, storages=(), **fields):
+    return Stage(losses, 64, storages=dict(storages), **fields)
+
+
+def replay(loss, kind=Replay, **fields):
+    return {"replay": kind(losses={"it": loss}, capacity=64, lanes=8, **fields)}
+
+
+def recorded(name, loss, of="offline"):
+    return {of: DemonstrationStorage(losses={name: loss}, path="nowhere")}
+
+
+def trained_by(*stages, model=None, **settings):
     whole = experiment()
-    pipeline = dataclasses.replace(whole.pipeline, stages=(Stage(losses, 64),))
-    return dataclasses.replace(whole, pipeline=pipeline, **changes)
+    pipeline = dataclasses.replace(whole.pipeline, stages=stages, **settings)
+    return dataclasses.replace(whole, pipeline=pipeline, model=model or whole.model)
+
+
+def test_losses_that_can_work_are_let_be():
+    stages = (
+        stage_of(SIDES, recorded("gail", JUDGE)),
+        stage_of(SIDES, recorded("gail", JUDGE) | replay(VTrace()), teacher_forcing=0.0),
+        stage_of({"ppo": PPO(), "curiosity": CURIOUS}),
+        stage_of({"ppo": PPO(), "curiosity": dataclasses.replace(CURIOUS, eta=1.0)}),
+        stage_of({"groups": GroupedImitation([[0, 1]])}, teacher_forcing=1.0),
+    )
+    trained_by(*stages).check()
+    trained_by(stage_of({}, replay(DQN(), PrioritizedReplay)), model=GREEDY).check()
+
+
+@pytest.mark.parametrize(
+    ("stages", "model", "message"),
+    [
+        (
+            [stage_of(SIDES)],
+            None,
+            r"stage 0: loss 'gail': GAIL needs demonstrations .* of the name 'gail', but none has",
+        ),
+        (
+            [stage_of(SIDES, recorded("gail", DISCRIMINATOR))],
+            None,
+            "'gail': GAIL needs demonstrations .* but none has one",
+        ),
+        (
+            [stage_of(SIDES, recorded("gail", JUDGE) | recorded("gail", JUDGE, "more"))],
+            None,
+            "but 'offline' and 'more' have one each",
+        ),
+        (
+            [stage_of({"ppo": PPO(), "gail": JUDGE}, recorded("gail", JUDGE))],
+            None,
+            "leave demonstrations=True to the one in a storage",
+        ),
+        (
+            [stage_of({}, replay(VTrace(), PrioritizedReplay))],
+            None,
+            r"stage 0: storage 'replay': none of its losses \(VTrace\) tells .* use a Replay",
+        ),
+        (
+            [stage_of({}, replay(DQN(), length=1))],
+            GREEDY,
+            r"'it': DQN learns nothing from sequences of 1 step.* have 2",
+        ),
+        (
+            [stage_of({"ppo": PPO(), "t": TemporalDistance(longer_than=7)})],
+            None,
+            r"TemporalDistance learns nothing from sequences of 8 step.* have 9",
+        ),
+        (
+            [stage_of({"vtrace": VTrace()}, teacher_forcing=0.5)],
+            None,
+            "VTrace goes by the probability .* leave teacher_forcing out of stage 0",
+        ),
+        (
+            [
+                stage_of({"it": CURIOUS, "ppo": PPO()}, replay(CURIOUS), teacher_forcing=1.0),
+                stage_of({}, replay(VTrace())),
+            ],
+            None,
+            "stage 1: loss 'it': VTrace .* leave teacher_forcing out of stage 0",
+        ),
+        ([stage_of({"a2c": A2C()})], GREEDY, "'a2c': A2C learns a policy, but .* such as ActorCr"),
+        ([stage_of({"bc": Imitation()})], GREEDY, "Imitation learns a policy, but the model's"),
+        ([stage_of({}, replay(DQN()))], None, "'it': Q-learning needs a model of action values"),
+        ([stage_of({"pqn": PQN()})], None, "needs a model of action values, such as QNetwork"),
+        ([stage_of({"a": Advisor()})], None, r"ActorCritic\(..., auxiliary_actor=True\)"),
+        ([stage_of({"f": FusionEntropy()})], None, r"memory=MultipleBeliefs\(...\)"),
+        ([stage_of({"kl": KLToReference()})], GREEDY, "EpsilonGreedy has no closed form"),
+        (
+            [stage_of({}, replay(SAC(critic=Critic(ENCODER))))],
+            None,
+            "stage 0: storage 'replay': loss 'it': SAC is for policies on a bounded box",
+        ),
+        (
+            [stage_of({"i": InverseDynamics(action_space=ACTIONS, belief="blief")})],
+            None,
+            "unknown feature of the model, in a loss 'blief'; the nearest is 'belief'",
+        ),
+        (
+            [stage_of({"i": InverseDynamics(action_space=Discrete(5))})],
+            None,
+            r"action_space of InverseDynamics is Discrete\(n=5\), but the world's is Discrete\(n=2",
+        ),
+        ([stage_of({"g": GroupedImitation(((0, 5),))})], None, "there are 2 actions, so none is 5"),
+        (
+            [
+                stage_of({"ppo": PPO(), "x": InverseDynamics(action_space=ACTIONS)}),
+                stage_of({"ppo": PPO(), "x": TemporalDistance()}),
+            ],
+            None,
+            "stage 1: loss 'x': TemporalDistance would share .* the InverseDynamics .* stage 0",
+        ),
+        (
+            [
+                stage_of({"ppo": PPO(), "x": CURIOUS}),
+                stage_of({"ppo": PPO(), "x": dataclasses.replace(CURIOUS, hidden=16)}),
+            ],
+            None,
+            "stage 1: loss 'x': it would share .* in stage 0, but is of another size",
+        ),
+    ],
+)
+def test_losses_that_cannot_work_where_they_stand(stages, model, message):
+    with pytest.raises(JaxactError, match=message):
+        trained_by(*stages, model=model).check()
 
 
 def test_a_rewarding_loss_has_a_name_of_its_own():
-    action_space = corridor().action_space
-    curious = Curiosity(action_space=action_space, encoder=Concatenated({"vector": Vector((4,))}))
-    with_losses({"ppo": PPO(), "curiosity": curious}).check()
     with pytest.raises(JaxactError, match="'success' rewards under its own name, which is that of"):
-        with_losses({"ppo": PPO(), "success": curious}).check()
-
-
-def test_a_policy_is_not_learnt_by_a_model_of_values():
-    encoder = Concatenated({"vector": Vector((4,))})
-    model = QNetwork(corridor().action_space, encoder, NoMemory())
-    wrong = with_losses({"ppo": PPO()}, model=model)
-    with pytest.raises(JaxactError, match="PPO learns a policy, but the model's actions are"):
-        jax.eval_shape(jaxact.make_train(wrong), jax.random.key(0))
+        trained_by(stage_of({"ppo": PPO(), "success": CURIOUS})).check()

@@ -1,6 +1,9 @@
 """Value-based and off-policy learning in whole pipelines, on worlds of a few cells."""
 
+from dataclasses import dataclass, replace
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -9,11 +12,12 @@ from jaxact.losses import DQN, PPO, PQN, SAC, Critic, Target, VTrace
 from jaxact.models import GRU, ActorCritic, Concatenated, NoMemory, QNetwork, Vector
 from jaxact.program import Program, choose_devices
 from jaxact.schedules import Linear
+from jaxact.spaces import Box
 from jaxact.storages import PrioritizedReplay, Replay
 from jaxact.train_state import make_key
 from tests.corridor import corridor
-from tests.point import point
-from tests.tiny import raw
+from tests.point import Plane, point
+from tests.tiny import Plain, raw
 
 CORRIDOR, POINT = corridor(), point()
 ENCODER = Concatenated({"vector": Vector((16,))})
@@ -112,6 +116,50 @@ def test_the_corridor_is_learnt(name):
     stage, model = LEARNERS[name]
     _, metrics = jax.jit(make_train(experiment(stage, model)))(make_key(0))
     assert success(metrics) > 0.9
+
+
+def test_plain_action_values_are_learnt_from_rollouts_and_from_a_replay():
+    """Of the two losses one has the weight zero."""
+    encoder = Concatenated({"vector": Plain()})
+    shape = {"hidden": 16, "layer_norm": True, "dueling": False}
+    model = QNetwork(CORRIDOR.action_space, encoder, MEMORYLESS, **shape)
+    dqn = {"losses": {"dqn": DQN(discount=0.95, target=Target(rate=0.1))}, "weights": {"dqn": 0.0}}
+    replay = Replay(**dqn, capacity=64, lanes=32, length=8, updates=2)
+    stage = Stage(
+        {"pqn": PQN()}, 3840, weights={"pqn": 0.0}, exploration=Linear(1.0, 0.05, 2000.0),
+        storages={"replay": replay},
+    )  # fmt: skip
+    numbers = {
+        "pipeline.stages.0.weights.pqn": jnp.array([1.0, 0.0]),
+        "pipeline.stages.0.storages.replay.weights.dqn": jnp.array([0.0, 1.0]),
+    }
+    train = jax.jit(jax.vmap(make_train(experiment(stage, model)), (None, 0)))
+    _, metrics = train(make_key(0), numbers)
+    for run in range(2):
+        assert success({name: x[run] for name, x in metrics.items()}, last=15) > 0.95
+
+
+@dataclass(frozen=True)
+class Fine(Plane):
+    """The plane with actions in units ten times as large."""
+
+    @property
+    def action_space(self):
+        return Box(-0.1, 0.1, (2,))
+
+    def step(self, key, state, action):
+        return super().step(key, state, 10.0 * action)
+
+
+def test_sac_steers_a_point_whatever_the_units_of_actions():
+    world, encoder = replace(POINT, environment=Fine()), Concatenated({"vector": Plain()})
+    loss = SAC(critic=Critic(encoder, (32,)), discount=0.9, target=Target(rate=0.02))
+    fields = {"capacity": 512, "lanes": 64, "length": 2, "updates": 8, "start_after": 512}
+    model = ActorCritic(world.action_space, encoder, NoMemory(), squashed=True)
+    stage = replayed(Replay, loss, None, 6400, **fields)
+    small = experiment(stage, model, world, max_grad_norm=10.0)
+    _, metrics = jax.jit(make_train(small))(make_key(0))
+    assert success(metrics) > 0.95
 
 
 @pytest.mark.slow
