@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxact.models.beliefs import Beliefs
+from jaxact.models.encoders import check_features
 from jaxact.models.heads import ActorHead
 from jaxact.models.memory import GRU
 from jaxact.models.output import ActorCriticOutput
@@ -61,6 +62,7 @@ class ActorCritic(nn.Module):
           `MultipleBeliefs` also every belief under its name, and the weights of their "fusion".
         """
         features = embedding = self.encoder(observation)
+        check_features(features, is_first.shape)
         if self.previous_action:
             flat = flatten_action(self.action_space, previous_action)
             flat = jnp.where(is_first[..., None], 0.0, flat)

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxact.agents import as_agents, as_lanes
 from jaxact.errors import unknown
 from jaxact.models.actor_critic import flatten_action
+from jaxact.models.encoders import check_features
 from jaxact.models.heads import ActorHead
 from jaxact.models.memory import GRU
 from jaxact.models.output import ActorCriticOutput
@@ -76,6 +77,7 @@ class AgentsActorCritic(nn.Module):
         axis = is_first.ndim
         apart = self.shared == "nothing"
         features = embedding = self._each(lambda m, x: m(x), apart, axis)(self.encoder, observation)
+        check_features(features, (*is_first.shape, self.action_space.count))
         extra = []
         if self.previous_action:
             flat = flatten_action(self.action_space, previous_action)

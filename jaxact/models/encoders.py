@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxact.errors import JaxactError
 from jaxact.models.convolution import Convolution
 
 # Kaiming-style gain for layers that a rectifier follows.
@@ -200,18 +201,21 @@ class Embedding(nn.Module):
 
 
 class Vector(nn.Module):
-    """Dense layers for vectors and scalars.
+    """Dense layers for vectors, and for maps small enough to be read cell by cell.
 
     Attributes:
       features: size of each layer.
+      axes: of a reading; those of a map [H, W, C] are three, which are laid end to end.
     """
 
     features: Sequence[int] = (64, 64)
+    axes: int = 1
 
     @nn.compact
     def __call__(self, vector: jax.Array) -> jax.Array:
-        """Maps [..., D] to float32 [..., features[-1]]."""
+        """Maps [..., D], or other `axes`, to float32 [..., features[-1]]."""
         x = vector.astype(jnp.float32)
+        x = x.reshape(*x.shape[: x.ndim - self.axes], -1)
         for size in self.features:
             x = nn.tanh(nn.Dense(size, kernel_init=RELU)(x))
         return x
@@ -232,4 +236,18 @@ class Concatenated(nn.Module):
         return jnp.concatenate(
             [encoder(observation[name]) for name, encoder in sorted(self.encoders.items())],
             axis=-1,
+        )
+
+
+def check_features(features: jax.Array, leading: tuple[int, ...]) -> None:
+    """Refuses what is not one vector for each of the leading axes' elements.
+
+    Raises:
+      JaxactError: the encoder kept axes of a reading, or took one too many.
+    """
+    if features.shape[:-1] != leading:
+        raise JaxactError(
+            f"the encoder makes features of shape {features.shape} of observations with the "
+            f"leading axes {leading}, but a model needs [{', '.join(map(str, leading))}, F]: "
+            "encode pictures by Image and maps by Vector(..., axes=3)"
         )

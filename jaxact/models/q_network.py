@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from jaxact.distributions import EpsilonGreedy
 from jaxact.errors import JaxactError
+from jaxact.models.encoders import check_features
 from jaxact.models.heads import ActionValueHead
 from jaxact.models.memory import GRU
 from jaxact.models.output import ActorCriticOutput
@@ -60,6 +61,7 @@ class QNetwork(nn.Module):
         if not isinstance(self.action_space, Discrete):
             raise JaxactError(f"QNetwork is for discrete actions, not for {self.action_space}")
         embedding = self.encoder(observation)
+        check_features(embedding, is_first.shape)
         features = nn.LayerNorm()(embedding) if self.layer_norm else embedding
         belief, memory = self.memory(features, memory, is_first)
         head = ActionValueHead(

@@ -2,6 +2,8 @@
 
 import dataclasses
 
+import jax
+import jax.numpy as jnp
 import pytest
 
 import jaxact
@@ -26,9 +28,9 @@ from jaxact.losses import (
     TemporalDistance,
     VTrace,
 )
-from jaxact.models import Concatenated, NoMemory, QNetwork, Vector
+from jaxact.models import GRU, ActorCritic, Concatenated, NoMemory, QNetwork, Vector
 from jaxact.search_space import uniform
-from jaxact.spaces import Discrete
+from jaxact.spaces import Box, Dict, Discrete
 from jaxact.storages import DemonstrationStorage, PrioritizedReplay, Replay
 from tests.corridor import corridor
 from tests.tiny import experiment
@@ -204,3 +206,20 @@ def test_losses_that_cannot_work_where_they_stand(stages, model, message):
 def test_a_rewarding_loss_has_a_name_of_its_own():
     with pytest.raises(JaxactError, match="'success' rewards under its own name, which is that of"):
         trained_by(stage_of({"ppo": PPO(), "success": CURIOUS})).check()
+
+
+@pytest.mark.parametrize("model", [ActorCritic, QNetwork])
+def test_an_encoder_that_does_not_give_vectors(model):
+    space = Dict({"map": Box(0, 1, (4, 4, 2), "uint8")})
+    observation = jax.tree.map(lambda x: x[None], space.zeros())
+
+    def init(axes):
+        encoder = Concatenated({"map": Vector((8,), axes=axes)})
+        made = model(Discrete(3), encoder, GRU(8))
+        rest = made.initial_memory(1), jnp.zeros(1, jnp.int32), jnp.ones(1, bool)
+        return jax.eval_shape(made.init, jax.random.key(0), observation, *rest)
+
+    with pytest.raises(JaxactError, match=r"features of shape \(1, 4, 4, 8\) .* needs \[1, F\]"):
+        init(axes=1)
+    kernel = init(axes=3)["params"]["encoder"]["encoders_map"]["Dense_0"]["kernel"]
+    assert kernel.shape == (4 * 4 * 2, 8)

@@ -1,0 +1,50 @@
+"""Markov Stag Hunt, learnt by two agents with heads of their own, after AllenAct's paper.
+
+python -m jaxact.train examples/stag_hunt.py:g1
+
+A name after the colon is one of `experiments`: what meeting the stag alone costs. Up to 2 it pays
+to hunt together, at 3 the plants are the safer choice; `3_prosocial` are agents who care for what
+the other earns as much as for their own.
+"""
+
+import dataclasses
+
+import envs_jax
+from jaxact import Experiment, Stage, TrainingPipeline
+from jaxact.agents import MixedRewards
+from jaxact.losses import PPO
+from jaxact.models import GRU, AgentsActorCritic, Concatenated, Vector
+from jaxact.schedules import Linear
+
+_STEPS = 3_000_000
+
+
+def _name(maul_penalty: float) -> str:
+    return f"g{maul_penalty:g}".replace(".", "_")
+
+
+def _experiment(maul_penalty: float, others: float = 0.0) -> Experiment:
+    pomdp = envs_jax.make("Markov-StagHunt-v0", maul_penalty=maul_penalty, horizon=45)
+    name = f"stag_hunt_{_name(maul_penalty)}"
+    if others:
+        pomdp = dataclasses.replace(pomdp, task=MixedRewards(pomdp.task, others=others))
+        name += "_prosocial"
+    encoder = Concatenated({"map": Vector((64,), axes=3)})
+    return Experiment(
+        name=name,
+        pomdp=pomdp,
+        model=AgentsActorCritic(pomdp.action_space, encoder, GRU(64), shared="body"),
+        pipeline=TrainingPipeline(
+            stages=(Stage(losses={"ppo": PPO(clip=0.1)}, steps=_STEPS),),
+            lanes=64,
+            rollout_length=45,
+            epochs=4,
+            minibatches=2,
+            learning_rate=Linear(1e-3, 0.0, steps=_STEPS),
+        ),
+    )
+
+
+experiments = {_name(g): _experiment(g) for g in (0.5, 1.0, 2.0, 3.0)}
+experiments |= {f"{_name(g)}_prosocial": _experiment(g, others=1.0) for g in (2.0, 3.0)}
+experiment = experiments["g1"]
