@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import flax.linen as nn
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 
 from jaxact.models.beliefs import Beliefs
 from jaxact.models.encoders import check_features
-from jaxact.models.heads import ActorHead
+from jaxact.models.heads import SMALL, ActorHead
 from jaxact.models.memory import GRU
 from jaxact.models.output import ActorCriticOutput
 from jaxact.spaces import Agents, Box, Dict, Discrete, Space, Tuple
@@ -31,6 +32,8 @@ class ActorCritic(nn.Module):
       auxiliary_actor: whether there is a second actor head on the same features, for losses that
         compare two policies (ADVISOR); the output's extras have its "auxiliary_distribution".
       squashed: whether actions in boxes are squashed into their bounds, see `ActorHead`.
+      actor_gain: of the actors' initial weights; AllenAct's is 1, with which first policies differ
+        from the uniform one, and two actors from each other.
     """
 
     action_space: Space
@@ -39,6 +42,7 @@ class ActorCritic(nn.Module):
     previous_action: bool = False
     auxiliary_actor: bool = False
     squashed: bool = False
+    actor_gain: float = SMALL
 
     @nn.compact
     def __call__(
@@ -72,12 +76,12 @@ class ActorCritic(nn.Module):
         if isinstance(features, Beliefs):
             extras = {**features.named, "fusion": features.weights}
             features = features.fused
-        distribution = ActorHead(self.action_space, self.squashed, name="actor")(features)
+        actor = partial(ActorHead, self.action_space, self.squashed, self.actor_gain)
+        distribution = actor(name="actor")(features)
         value = nn.Dense(1, kernel_init=nn.initializers.orthogonal(1.0), name="critic")(features)
         extras |= {"embedding": embedding, "belief": features}
         if self.auxiliary_actor:
-            auxiliary = ActorHead(self.action_space, self.squashed, name="auxiliary_actor")
-            extras["auxiliary_distribution"] = auxiliary(features)
+            extras["auxiliary_distribution"] = actor(name="auxiliary_actor")(features)
         return ActorCriticOutput(distribution, value[..., 0], extras), memory
 
     @nn.nowrap

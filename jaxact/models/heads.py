@@ -18,8 +18,9 @@ from jaxact.errors import JaxactError
 from jaxact.models.encoders import RELU
 from jaxact.spaces import Box, Dict, Discrete, Space, Tuple
 
-# Small, so that the first policy is nearly uniform.
-_INITIAL = nn.initializers.orthogonal(0.01)
+# Gain of initial weights, small, so that the first policy is nearly uniform.
+SMALL = 0.01
+_INITIAL = nn.initializers.orthogonal(SMALL)
 # Bounds on a squashed normal's log-deviation, of Haarnoja et al. 2018.
 _LOG_STD = (-20.0, 2.0)
 
@@ -34,28 +35,36 @@ class ActorHead(nn.Module):
       space: the action space.
       squashed: whether boxes, which must be bounded, get a `SquashedNormal` instead, with a
         deviation that depends on the features, as SAC wants it.
+      gain: of the orthogonal initial weights.
     """
 
     space: Space
     squashed: bool = False
+    gain: float = SMALL
 
     @nn.compact
     def __call__(self, features: jax.Array) -> Distribution:
         """Maps [batch, F] to a distribution with the same batch axes."""
+        initial = nn.initializers.orthogonal(self.gain)
         match self.space:
             case Discrete(n):
-                return Categorical(nn.Dense(n, kernel_init=_INITIAL)(features))
+                return Categorical(nn.Dense(n, kernel_init=initial)(features))
             case Box(shape=(size,)) if self.squashed:
-                return _squashed(self.space, nn.Dense(2 * size, kernel_init=_INITIAL)(features))
+                return _squashed(self.space, nn.Dense(2 * size, kernel_init=initial)(features))
             case Box(shape=(size,)):
-                mean = nn.Dense(size, kernel_init=_INITIAL)(features)
+                mean = nn.Dense(size, kernel_init=initial)(features)
                 log_std = self.param("log_std", nn.initializers.zeros, (size,), jnp.float32)
                 return DiagonalNormal(mean, jnp.broadcast_to(log_std, mean.shape))
             case Tuple(spaces):
-                return Joint(tuple(ActorHead(s, self.squashed)(features) for s in spaces))
+                return Joint(
+                    tuple(ActorHead(s, self.squashed, self.gain)(features) for s in spaces)
+                )
             case Dict(spaces):
                 return Joint(
-                    {n: ActorHead(s, self.squashed, name=n)(features) for n, s in spaces.items()}
+                    {
+                        n: ActorHead(s, self.squashed, self.gain, name=n)(features)
+                        for n, s in spaces.items()
+                    }
                 )
         raise TypeError(f"no actor head for the action space {self.space}")
 
