@@ -11,9 +11,9 @@ python -m jaxact.collect Advisor-PoisonedDoors-v0 --episodes 10000 --output \
     demonstrations/poisoned_doors
 
 The network that crosses lava is AllenAct's: no layer between the cells' embeddings and the memory,
-and actors that differ from the start. The study's code gives failed crossings again until 1000 steps
-were spent on them (`jaxact.samplers.RepeatFailed`); its figures are reached without that, and not
-with it.
+and actors that differ from the start. The study's code gives failed crossings again until 1000
+steps were spent on them (`jaxact.samplers.RepeatFailed`); its figures are reached here without
+that, and not with it.
 """
 
 from collections.abc import Mapping
