@@ -3,16 +3,15 @@
 The world itself is compiled; what each step costs besides is the way from Python to the device and
 back, which training with jaxact has not.
 
-All chance in episode e after `reset(seed=s)` is from `fold_in(jaxact.make_key(s), e)`, which is
-split into the key of its reset and that of its steps; into the latter step t folds t. Lane i of a
-vector has the episodes of an environment with the seed s + i.
+Which chance an episode has is told in `jaxact.played_episodes`. Lane i of a vector has the episodes
+of an environment with the seed s + i.
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -25,13 +24,21 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from jaxact.compaction import for_each_chosen, put_rows
-from jaxact.errors import JaxactError, unknown
+from jaxact.errors import JaxactError
 from jaxact.gymnasium_spaces import to_jax, to_numpy, to_space
-from jaxact.pomdp import POMDP, Pictured, PyTree, State, Step
+from jaxact.played_episodes import (
+    RENDER_MODES,
+    Lane,
+    begin_episode,
+    check_render_mode,
+    programs,
+    seed_word,
+    step_episode,
+)
+from jaxact.pomdp import POMDP, PyTree, Step
 from jaxact.recording import side_by_side
-from jaxact.train_state import make_key
 
-_METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 8}
+_METADATA: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 8}
 
 
 def to_gymnasium(
@@ -91,51 +98,14 @@ def to_gymnasium_vector(
     return _POMDPVectorEnv(pomdp, num_envs, seed, autoreset_mode, render_mode, flatten)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class _Lane:
-    """An episode in progress.
-
-    Attributes:
-      seed: uint32 scalar.
-      episode: int32 scalar, its number since the seed was set.
-      key: PRNG key of its steps.
-      state: where it stands.
-    """
-
-    seed: jax.Array
-    episode: jax.Array
-    key: jax.Array
-    state: State
-
-
-def _begin(pomdp: POMDP, seed: jax.Array, episode: jax.Array) -> tuple[_Lane, PyTree]:
-    reset_key, step_key = jax.random.split(jax.random.fold_in(make_key(seed), episode))
-    state, observation = pomdp.reset(reset_key)
-    return _Lane(seed, episode, step_key, state), observation
-
-
-def _step(pomdp: POMDP, lane: _Lane, action: PyTree) -> tuple[_Lane, Step]:
-    key = jax.random.fold_in(lane.key, lane.state.steps)
-    state, step = pomdp.step(key, lane.state, action)
-    return replace(lane, state=state), step
-
-
-@functools.lru_cache(16)
-def _programs(pomdp: POMDP) -> tuple[Any, Any, Any]:
-    """Compiles the beginning of an episode, a step of it, and its pictures."""
-    begin, step = functools.partial(_begin, pomdp), functools.partial(_step, pomdp)
-    return jax.jit(begin), jax.jit(step), jax.jit(pomdp.pictures)
-
-
 class _POMDPEnv(gymnasium.Env[Any, Any]):
     metadata = _METADATA
 
     def __init__(self, pomdp: POMDP, seed: int, render_mode: str | None, flatten: bool) -> None:
-        _check_render_mode(pomdp, render_mode)
+        check_render_mode(pomdp, render_mode)
         self._pomdp, self._flatten, self.render_mode = pomdp, flatten, render_mode
         self._seed, self._episode = seed, -1
-        self._lane: _Lane | None = None
+        self._lane: Lane | None = None
         self.observation_space = to_space(pomdp.observation_space, flatten)
         self.action_space = to_space(pomdp.action_space)
 
@@ -146,13 +116,13 @@ class _POMDPEnv(gymnasium.Env[Any, Any]):
         if seed is not None:
             self._seed, self._episode = seed, -1
         self._episode += 1
-        begin, _, _ = _programs(self._pomdp)
-        self._lane, observation = begin(_word(self._seed), np.int32(self._episode))
+        begin, _, _ = programs(self._pomdp)
+        self._lane, observation = begin(seed_word(self._seed), np.int32(self._episode))
         return self._numpy(observation), {}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         action = to_jax(self._pomdp.action_space, action, ())
-        _, step, _ = _programs(self._pomdp)
+        _, step, _ = programs(self._pomdp)
         self._lane, result = step(self._playing(), action)
         result, info = jax.device_get((result, result.info))
         info = {name: value.item() for name, value in info.items()}
@@ -167,11 +137,11 @@ class _POMDPEnv(gymnasium.Env[Any, Any]):
     def render(self) -> Any:
         if self.render_mode is None:
             return None
-        _, _, pictures = _programs(self._pomdp)
+        _, _, pictures = programs(self._pomdp)
         shown = jax.device_get(pictures(self._playing().state))
         return side_by_side(list(shown.values()))
 
-    def _playing(self) -> _Lane:
+    def _playing(self) -> Lane:
         if self._lane is None:
             raise ResetNeeded("no episode has begun: call reset() first")
         return self._lane
@@ -183,25 +153,25 @@ class _POMDPEnv(gymnasium.Env[Any, Any]):
 @functools.lru_cache(16)
 def _vector_programs(pomdp: POMDP, autoreset_mode: AutoresetMode) -> tuple[Any, Any, Any]:
     """Compiles the same for lanes [N], with their resets."""
-    begin = jax.vmap(functools.partial(_begin, pomdp))
+    begin = jax.vmap(functools.partial(begin_episode, pomdp))
 
-    def renew(lanes: _Lane, observation: PyTree, due: jax.Array) -> tuple[_Lane, PyTree]:
+    def renew(lanes: Lane, observation: PyTree, due: jax.Array) -> tuple[Lane, PyTree]:
         """Begins the next episode of those lanes that are due, some at a time.
 
         Under vmap a reset within each step would sample an episode for every lane every time.
         """
 
         def begin_some(
-            places: jax.Array, rows: jax.Array, now: tuple[_Lane, PyTree]
-        ) -> tuple[jax.Array, tuple[_Lane, PyTree]]:
+            places: jax.Array, rows: jax.Array, now: tuple[Lane, PyTree]
+        ) -> tuple[jax.Array, tuple[Lane, PyTree]]:
             lanes, _ = now
             fresh = begin(lanes.seed[rows], lanes.episode[rows] + 1)
             return jnp.zeros_like(places, bool), put_rows(now, places, fresh)
 
         return for_each_chosen(due, (lanes, observation), begin_some, share=16)
 
-    def step(lanes: _Lane, due: jax.Array, action: PyTree) -> tuple[_Lane, PyTree, Step]:
-        lanes, result = jax.vmap(functools.partial(_step, pomdp))(lanes, action)
+    def step(lanes: Lane, due: jax.Array, action: PyTree) -> tuple[Lane, PyTree, Step]:
+        lanes, result = jax.vmap(functools.partial(step_episode, pomdp))(lanes, action)
         if autoreset_mode is AutoresetMode.NEXT_STEP:
             result = replace(
                 result,
@@ -227,7 +197,7 @@ class _POMDPVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         render_mode: str | None,
         flatten: bool,
     ) -> None:
-        _check_render_mode(pomdp, render_mode)
+        check_render_mode(pomdp, render_mode)
         if num_envs < 1:
             raise JaxactError(f"num_envs must be at least 1, got {num_envs}")
         if autoreset_mode is AutoresetMode.DISABLED:
@@ -235,7 +205,7 @@ class _POMDPVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._pomdp, self._flatten, self.render_mode = pomdp, flatten, render_mode
         self._begin, self._step, self._pictures = _vector_programs(pomdp, autoreset_mode)
         self._same_step = autoreset_mode is AutoresetMode.SAME_STEP
-        self._lanes: _Lane | None = None
+        self._lanes: Lane | None = None
         self._seeds = [seed + i for i in range(num_envs)]
         self._due = np.zeros(num_envs, bool)
         self.num_envs = num_envs
@@ -262,7 +232,7 @@ class _POMDPVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         for lane, given in enumerate(seeds or ()):
             if given is not None:
                 self._seeds[lane], episodes[lane] = given, 0
-        words = np.array([_word(seed) for seed in self._seeds])
+        words = np.array([seed_word(seed) for seed in self._seeds])
         self._lanes, observation = self._begin(words, episodes)
         self._due = np.zeros(self.num_envs, bool)
         return self._numpy(observation), {}
@@ -296,7 +266,7 @@ class _POMDPVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             for lane in range(self.num_envs)
         )
 
-    def _playing(self) -> _Lane:
+    def _playing(self) -> Lane:
         if self._lanes is None:
             raise ResetNeeded("no episode has begun: call reset() first")
         return self._lanes
@@ -315,16 +285,3 @@ def _masked(values: dict[str, np.ndarray], mask: np.ndarray) -> dict[str, Any]:
         info[name] = chosen.astype(bool if value.dtype == bool else np.float64)
         info[f"_{name}"] = mask.copy()
     return info
-
-
-def _word(seed: int) -> np.uint32:
-    return np.uint32(seed % 2**32)
-
-
-def _check_render_mode(pomdp: POMDP, render_mode: str | None) -> None:
-    if render_mode is None:
-        return
-    if render_mode not in _METADATA["render_modes"]:
-        raise unknown("render mode", render_mode, ("rgb_array",))
-    if not any(isinstance(sensor, Pictured) for sensor in pomdp.sensors.values()):
-        raise JaxactError("there is nothing to render: no sensor has a method picture")
