@@ -10,14 +10,12 @@ recorded ones as well:
 python -m jaxact.collect Advisor-PoisonedDoors-v0 --episodes 10000 --output \
     demonstrations/poisoned_doors
 
-The network that crosses lava is AllenAct's: no layer between the cells' embeddings and the memory,
-and actors that differ from the start. The study's code gives failed crossings again until 1000
-steps were spent on them (`jaxact.samplers.RepeatFailed`); its figures are reached here without
-that, and not with it.
+As in the study, crossings of lava that were failed are given again, until 1000 steps were spent on
+them, and the network is AllenAct's: no layer between the cells' embeddings and the memory.
 """
 
+import dataclasses
 from collections.abc import Mapping
-from functools import partial
 
 import optax
 
@@ -25,27 +23,22 @@ import envs_jax
 from jaxact import Experiment, Stage, TrainingPipeline
 from jaxact.losses import PPO, Advisor, AdvisorImitation, Imitation
 from jaxact.models import LSTM, ActorCritic, Concatenated, ProjectedGrid, Vector
+from jaxact.samplers import RepeatFailed
 from jaxact.schedules import Linear, Piecewise
 from jaxact.search_space import Range, choice, log_uniform, uniform
 from jaxact.storages import DemonstrationStorage
 
+_lava = envs_jax.make("Advisor-LavaCrossingCorruptExpertS15N7-v0")
+_lava = dataclasses.replace(_lava, sampler=RepeatFailed(_lava.sampler, size=500))
 # Unseen, empty, wall, lava and goal, as MiniGrid encodes them.
 _CELLS = ((0, 0, 0), (1, 0, 0), (2, 5, 0), (9, 0, 0), (8, 1, 0))
-# World, model, and steps as published.
+# World, encoder, memory, and steps as published.
 WORLDS = {
-    "lava_crossing": (
-        envs_jax.make("Advisor-LavaCrossingCorruptExpertS15N7-v0"),
-        partial(
-            ActorCritic,
-            encoder=ProjectedGrid(4 * 128, _CELLS),
-            memory=LSTM(128, projects=False),
-            actor_gain=1.0,
-        ),
-        1e6,
-    ),
+    "lava_crossing": (_lava, ProjectedGrid(4 * 128, _CELLS), LSTM(128, projects=False), 1e6),
     "poisoned_doors": (
         envs_jax.make("Advisor-PoisonedDoors-v0"),
-        partial(ActorCritic, encoder=Concatenated({"stage": Vector((128,))}), memory=LSTM(128)),
+        Concatenated({"stage": Vector((128,))}),
+        LSTM(128),
         3e5,
     ),
 }
@@ -94,7 +87,7 @@ def search_space(name: str) -> dict[str | tuple[str, ...], Range]:
     [0.1, 0.9], and α one of 4, 8, 16 and 32.
     """
     world = next(world for world in WORLDS if name.startswith(world))
-    method, steps = name.removeprefix(f"{world}_"), WORLDS[world][2]
+    method, steps = name.removeprefix(f"{world}_"), WORLDS[world][3]
     stage = "pipeline.stages.0"
     space: dict[str | tuple[str, ...], Range] = {
         "pipeline.learning_rate.start": log_uniform(1e-4, 0.5)
@@ -119,9 +112,11 @@ def search_space(name: str) -> dict[str | tuple[str, ...], Range]:
 
 def _experiments() -> dict[str, Experiment]:
     found = {}
-    for world, (pomdp, model_of, steps) in WORLDS.items():
+    for world, (pomdp, encoder, memory, steps) in WORLDS.items():
         for method, stage in _stages(world, steps).items():
-            model = model_of(pomdp.action_space, auxiliary_actor=method.startswith("advisor"))
+            model = ActorCritic(
+                pomdp.action_space, encoder, memory, auxiliary_actor=method.startswith("advisor")
+            )
             pipeline = TrainingPipeline(
                 (stage,),
                 lanes=20,
