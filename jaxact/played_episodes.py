@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from jaxact.errors import JaxactError, unknown
-from jaxact.pomdp import POMDP, Pictured, PyTree, State, Step
+from jaxact.pomdp import POMDP, PyTree, State, Step
 from jaxact.train_state import make_key
 
 RENDER_MODES = ("rgb_array",)
@@ -74,5 +74,5 @@ def check_render_mode(pomdp: POMDP, render_mode: str | None) -> None:
         return
     if render_mode not in RENDER_MODES:
         raise unknown("render mode", render_mode, RENDER_MODES)
-    if not any(isinstance(sensor, Pictured) for sensor in pomdp.sensors.values()):
+    if not pomdp.has_pictures:
         raise JaxactError("there is nothing to render: no sensor has a method picture")

@@ -290,6 +290,25 @@ class Pictured(Protocol):
 
 
 @runtime_checkable
+class Charted(Protocol):
+    """An environment that can show a person the way that was taken so far."""
+
+    def waypoint(self, state: PyTree) -> jax.Array:
+        """Returns where the agent is, float32 [2]."""
+        ...
+
+    def chart(self, state: PyTree, task_state: PyTree, trail: jax.Array) -> jax.Array:
+        """Returns an RGB frame, uint8 [H, W, 3].
+
+        Args:
+          state: how the world stands.
+          task_state: the task's.
+          trail: float32 [T, 2], the waypoints since the episode began; NaN for those to come.
+        """
+        ...
+
+
+@runtime_checkable
 class Worded(Protocol):
     """A sensor whose reading is text; works on the host, outside of `jit`."""
 
@@ -419,13 +438,33 @@ class POMDP:
             for name, sensor in self.sensors.items()
         }
 
-    def pictures(self, state: State) -> dict[str, jax.Array]:
-        """Returns an RGB frame uint8 [H, W, 3] of each sensor that can be pictured."""
-        return {
+    @property
+    def has_pictures(self) -> bool:
+        """Whether anything of it can be shown to a person."""
+        sensors = self.sensors.values()
+        charted = isinstance(self.environment, Charted)
+        return charted or any(isinstance(sensor, Pictured) for sensor in sensors)
+
+    def pictures(self, state: State, trail: jax.Array | None = None) -> dict[str, jax.Array]:
+        """Returns RGB frames uint8 [H, W, 3].
+
+        Args:
+          state: what to show.
+          trail: float32 [T, 2], see `Charted`; None for where the agent is, and no more.
+
+        Returns:
+          One of each sensor that can be pictured, and the "chart" of an environment that has one.
+        """
+        shown = {
             name: sensor.picture(state.environment, state.task)
             for name, sensor in self.sensors.items()
             if isinstance(sensor, Pictured)
         }
+        if isinstance(self.environment, Charted):
+            if trail is None:
+                trail = self.environment.waypoint(state.environment)[None]
+            shown["chart"] = self.environment.chart(state.environment, state.task, trail)
+        return shown
 
     def words(self, observation: Mapping[str, jax.Array]) -> str:
         """Returns what the sensors that read text say, on the host; empty if there are none."""

@@ -1,4 +1,6 @@
-"""Films of episodes: what the sensors show, with mission, policy and value beside it."""
+"""Films of episodes: what the sensors show, and the way that was taken where there is a chart, with
+mission, policy and value beside it.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,7 @@ from jaxact.errors import JaxactError
 from jaxact.evaluation import begin_held_out, held_out_lanes
 from jaxact.features import check_names, draw, intermediates
 from jaxact.policy import Policy, PolicyMemory
-from jaxact.pomdp import POMDP
+from jaxact.pomdp import POMDP, Charted
 from jaxact.spaces import Space
 from jaxact.video import annotate
 
@@ -33,7 +35,7 @@ def record_episode(
     Of several agents, value and reward are the means.
 
     Args:
-      pomdp: the world; at least one sensor must be `Pictured`.
+      pomdp: the world; a sensor must be `Pictured`, or the environment `Charted`.
       policy: who plays.
       seed: of the held-out episodes.
       greedy: whether the most likely actions are taken.
@@ -50,13 +52,15 @@ def record_episode(
     check_names(pomdp, policy, features)
     inside = _intermediates(policy.model, pomdp.action_space) if features else None
     start, advance, show = _player(pomdp, policy.model, greedy)
+    trail = np.full((max_steps, 2), np.nan, np.float32)
     beginnings, step_keys = held_out_lanes(pomdp, seed, 1)
     state, observation, memory = start(beginnings[0])
     mission = pomdp.words(observation) or None
     total, frames = 0.0, []
     for t in range(max_steps):
         key = jax.random.fold_in(step_keys[0], t)
-        pictures = list(jax.device_get(show(state)).values())
+        shown, trail = show(state, trail, t)
+        pictures = list(jax.device_get(shown).values())
         if inside is not None:
             found = jax.device_get(inside(policy.params, observation, memory))
             pictures += [draw(found[name]) for name in features]
@@ -141,7 +145,12 @@ def _player(pomdp: POMDP, model: Any, greedy: bool) -> tuple[Any, Any, Any]:
         state, step = pomdp.step(world_key, state, action)
         return state, step.observation, memory, step, action, output
 
-    return jax.jit(start), jax.jit(advance), jax.jit(pomdp.pictures)
+    def show(state: Any, trail: jax.Array, t: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
+        if isinstance(pomdp.environment, Charted):
+            trail = trail.at[t].set(pomdp.environment.waypoint(state.environment))
+        return pomdp.pictures(state, trail), trail
+
+    return jax.jit(start), jax.jit(advance), jax.jit(show)
 
 
 @cached_by_identity

@@ -29,7 +29,6 @@ from jaxact.logs import RunLog
 from jaxact.options import Options
 from jaxact.overrides import fingerprint, to_json
 from jaxact.policy import Policy
-from jaxact.pomdp import Pictured
 from jaxact.processes import is_first, largest, own_copy, text_of_first
 from jaxact.program import Program, choose_devices, concatenate
 from jaxact.progress import ProgressDisplay
@@ -243,9 +242,7 @@ class Run:
     def _finish(self, state: TrainState) -> None:
         if self.options.evaluation_episodes:
             self._evaluate(state)
-        if self.log is not None and any(
-            isinstance(sensor, Pictured) for sensor in self.experiment.pomdp.sensors.values()
-        ):
+        if self.log is not None and self.experiment.pomdp.has_pictures:
             self._film(state)
         self._save(state)
 

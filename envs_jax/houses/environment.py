@@ -8,12 +8,12 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
-from envs_jax.houses import collision, manipulation
+from envs_jax.houses import collision, geodesic, manipulation, pictures
 from envs_jax.houses.noise import Noise
 from envs_jax.houses.scene import Scene, forward
 from envs_jax.houses.state import Body, HouseState
 from jaxact.errors import JaxactError, unknown
-from jaxact.pomdp import POMDP, Environment
+from jaxact.pomdp import POMDP, Environment, PyTree
 from jaxact.spaces import Discrete
 
 ACTIONS: tuple[str, ...] = (
@@ -175,6 +175,25 @@ class House(Environment):
         """Returns the float32 amount that belongs to an action, 0 for those not named."""
         table = [amounts.get(name, 0.0) for name in self.actions]
         return jnp.asarray(table, jnp.float32)[action]
+
+    def waypoint(self, state: HouseState) -> jax.Array:
+        """Returns the agent's plan, float32 [2]."""
+        return state.position
+
+    def chart(self, state: HouseState, task_state: PyTree, trail: jax.Array) -> jax.Array:
+        """Returns the house from above, with the trail in blue, uint8 [256, 256, 3].
+
+        If the task's state has a `journey`, the shortest way from the trail's beginning is shown in
+        orange, with the goal that it leads to.
+        """
+        journey, way, goal = getattr(task_state, "journey", None), None, None
+        if journey is not None:
+            boxes = collision.obstacles(state.scene.boxes, self.body)
+            way = geodesic.path(journey.field, boxes, self.body.radius, trail[0])
+            goal = way[-1]
+        return pictures.house_map(
+            state.scene, state, self.body, goal=goal, trajectory=trail, path=way
+        )
 
 
 def check_house(owner: str, house: House, pomdp: POMDP) -> None:

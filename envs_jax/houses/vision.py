@@ -87,13 +87,8 @@ class CameraSensor(Sensor):
         return look(self.camera, eye(state, self.body), state.scene)
 
     def picture(self, state: HouseState, task_state: PyTree) -> jax.Array:
-        """Returns the reading in colours beside a map of the house, uint8 [256, ·, 3].
-
-        If the task's state has a `goal`, float32 [2] or [G, 2] plans, the map shows it.
-        """
-        goal = getattr(task_state, "goal", None)
-        world = pictures.house_map(state.scene, state, self.body, goal=goal)
-        return pictures.beside([self._colored(state, task_state), world])
+        """Returns the reading in colours, enlarged, uint8 [H, W, 3]."""
+        return pictures.enlarge(self._colored(state, task_state))
 
     @abstractmethod
     def _colored(self, state: HouseState, task_state: PyTree) -> jax.Array:

@@ -9,7 +9,7 @@ import pytest
 from jaxact import JaxactError, Policy, evaluate_policy
 from jaxact.evaluation import held_out_keys
 from jaxact.recording import record_episode, side_by_side
-from tests.corridor import CellAndGoal, corridor
+from tests.corridor import CellAndGoal, Corridor, corridor
 from tests.jaxact.test_evaluation import Drift
 
 
@@ -68,6 +68,33 @@ def test_films_end_in_time():
 def test_worlds_without_pictures_cannot_be_filmed():
     with pytest.raises(JaxactError, match="no sensor has a method picture"):
         record_episode(corridor(), policy(0.0))
+
+
+def test_charts_show_the_way_so_far():
+    @dataclasses.dataclass(frozen=True)
+    class Charting(Corridor):
+        """Its chart has a pixel for each step, as bright as the cell that was reached by it."""
+
+        def waypoint(self, state):
+            return jnp.stack([state, -state]).astype(jnp.float32)
+
+        def chart(self, state, task_state, trail):
+            del state, task_state
+            shades = jnp.where(jnp.isnan(trail[:, 0]), 0, 40 * trail[:, 0] + 10)
+            return jnp.broadcast_to(shades[None, :, None], (320, len(trail), 3)).astype(jnp.uint8)
+
+    pomdp = dataclasses.replace(corridor(), environment=Charting())
+    assert pomdp.has_pictures
+    assert not corridor().has_pictures
+    frames = record_episode(pomdp, policy(50.0), greedy=True, max_steps=8)[:, 0, :8, 0]
+    assert len(frames) > 1
+    last = frames[-1]
+    for t, frame in enumerate(frames):
+        np.testing.assert_array_equal(frame, np.where(np.arange(8) <= t, last, 0))
+    # Who goes right is a cell further at every step, until there is none.
+    moves = np.diff(last[: len(frames)].astype(int))
+    assert moves[0] == 40
+    assert set(moves) <= {0, 40}
 
 
 def test_pictures_stand_side_by_side():

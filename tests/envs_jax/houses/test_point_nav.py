@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 from small_houses import BODY, ROOMS, walls
 
@@ -48,6 +49,30 @@ def play():
         return task_state, outcomes
 
     return run
+
+
+def test_the_chart_shows_the_way_taken_and_the_shortest():
+    scene = make_scene(walls(), [index("Wall")] * 7, ROOMS)
+    roadmap = build_roadmap(scene, BODY, 32)
+
+    @jax.jit
+    def draw(goal, trail):
+        state = HOUSE.start(scene, trail[0])
+        field = goal_field(roadmap, obstacles(scene.boxes, BODY), BODY.radius, goal[None])
+        task_state = TASK.start(field, state, goal)
+        return HOUSE.chart(state, task_state, trail), HOUSE.chart(state, None, trail)
+
+    def share(picture, colour):
+        return np.mean(np.all(picture == np.uint8(colour), axis=-1))
+
+    trail = jnp.float32([[1, 1], [2, 1], [2, 2], [jnp.nan, jnp.nan]])
+    near, bare = draw(jnp.float32([1, 2.1]), trail)
+    far, _ = draw(jnp.float32([1, 3.2]), trail)
+    blue, orange, green = (38, 89, 230), (242, 166, 26), (26, 166, 51)
+    assert share(bare, blue) == share(near, blue) > 0
+    assert share(bare, orange) == share(bare, green) == 0
+    assert 0 < share(near, orange) < share(far, orange)
+    assert share(near, green) > 0
 
 
 def test_a_walk_straight_ahead_earns_what_it_covers(play):

@@ -267,7 +267,7 @@ def test_pictures(states) -> None:
     reds = (overview[..., 0] > 100) & (overview[..., 1] < 60) & (overview[..., 2] < 60)
     assert reds.any()
     assert strip.shape == (256, 4 * 256 + 24, 3)
-    assert semantic.shape == (256, 2 * 256 + 8, 3)
+    assert semantic.shape == (256, 256, 3)
 
 
 def test_sizes_that_cannot_be_are_refused() -> None:
