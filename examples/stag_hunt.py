@@ -1,4 +1,5 @@
-"""Markov Stag Hunt, learnt by two agents with heads of their own, after AllenAct's paper.
+"""Markov Stag Hunt, learnt by two agents with heads of their own, after AllenAct's paper: a stag of
+2×2 cells on a grid of 5×5, two plants, 45 steps.
 
 python -m jaxact.train examples/stag_hunt.py:g1
 
@@ -24,7 +25,7 @@ def _name(maul_penalty: float) -> str:
 
 
 def _experiment(maul_penalty: float, others: float = 0.0) -> Experiment:
-    pomdp = envs_jax.make("Markov-StagHunt-v0", maul_penalty=maul_penalty, horizon=45)
+    pomdp = envs_jax.make("Markov-StagHunt-v0", maul_penalty=maul_penalty, stag_side=2, horizon=45)
     name = f"stag_hunt_{_name(maul_penalty)}"
     if others:
         pomdp = dataclasses.replace(pomdp, task=MixedRewards(pomdp.task, others=others))
