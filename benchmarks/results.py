@@ -23,7 +23,7 @@ from jaxact.statistics import mean_interval
 
 RESULTS = Path(__file__).resolve().parent.parent / "docs" / "results"
 CURVE_POINTS = 60
-SHOWN = ("train/success", "train/return", "train/length")
+SHOWN = ("train/success", "train/return", "train/length", "train/task/spl")
 # Shares of success of which it is told when an evaluation first had them.
 MILESTONES = (0.97, 0.99)
 
@@ -111,7 +111,7 @@ def _described(run: Path, config: dict[str, Any]) -> dict[str, Any]:
     if trained < sum(stage["steps"] for stage in config["experiment"]["pipeline"]["stages"]):
         options += f" --total-steps {trained}"
     return {
-        "command": f"python -m jaxact.train {Path(config['source']).stem} "
+        "command": f"python -m jaxact.train {_name(config['source'])} "
         f"--seed {config['seed']}{options}",
         "seed": config["seed"],
         "trained_steps": trained,
@@ -121,6 +121,11 @@ def _described(run: Path, config: dict[str, Any]) -> dict[str, Any]:
         },
         "evaluations": evaluations,
     }
+
+
+def _name(source: str) -> str:
+    """Returns what a run of an example is started by: its name, or its file and what was chosen."""
+    return f"examples/{source}" if ":" in source else Path(source).stem
 
 
 def _first_at(evaluations: list[dict[str, Any]], share: float) -> int | None:
@@ -136,6 +141,8 @@ def _over_seeds(evaluations: list[dict[str, Any]]) -> dict[str, Any]:
     final: dict[str, Any] = {"step": evaluations[0]["step"]}
     for name in SHOWN:
         short = name.partition("/")[2]
+        if any(short not in evaluation for evaluation in evaluations):
+            continue
         values = [evaluation[short]["mean"] for evaluation in evaluations]
         interval = evaluations[0][short]["interval"] if len(values) == 1 else mean_interval(values)
         final[short] = {"mean": statistics.fmean(values), "each": values, "interval": interval}

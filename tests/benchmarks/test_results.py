@@ -52,6 +52,19 @@ def test_seeds_of_an_experiment_are_one_result(tmp_path):
     assert set(offline["runs"][0]["curve"]) == {"step"}
 
 
+def test_one_of_a_files_experiments_is_told_by_its_name_and_may_have_a_metric_of_its_own(tmp_path):
+    run = make_run(tmp_path, 0, [0.5])
+    config = json.loads((run / "config.json").read_text())
+    write_json(run / "config.json", config | {"source": "walks.py:blind"})
+    file = run / "evaluation" / "0100.json"
+    spl = {"mean": 0.25, "interval": [0.2, 0.3]}
+    write_json(file, json.loads(file.read_text()) | {"task/spl": spl})
+    (result,) = results_of([run], "abc")
+    command = "python -m jaxact.train examples/walks.py:blind --seed 0 "
+    assert result["runs"][0]["command"].startswith(command)
+    assert result["final"]["task/spl"] == {"mean": 0.25, "each": [0.25], "interval": [0.2, 0.3]}
+
+
 def test_a_run_that_stopped_early_says_so(tmp_path):
     (result,) = results_of([make_run(tmp_path, 0, [0.5], steps=300)], "abc")
     assert result["runs"][0]["command"].endswith("--total-steps 100")
