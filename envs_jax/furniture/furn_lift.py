@@ -126,7 +126,8 @@ class FurnLift(Environment):
         lifted = liftable & jnp.all(action == PICKUP)
         agents, yaw, succeeded = state.agents, state.yaw, []
         for i in range(2):
-            turn = (action[i] == ROTATE_RIGHT).astype(jnp.int32) - (action[i] == ROTATE_LEFT)
+            right, left = action[i] == ROTATE_RIGHT, action[i] == ROTATE_LEFT
+            turn = right.astype(jnp.int32) - left.astype(jnp.int32)
             to = agents[i] + jnp.asarray(DIRECTIONS)[yaw[i]]
             walks = is_set(state.floor, to) & (action[i] == MOVE_AHEAD)
             if self.agents_block:
@@ -193,12 +194,12 @@ class Lift(Task):
             initial=task_state.initial,
             steps=task_state.steps + 1,
             failed_pickups=task_state.failed_pickups + jnp.sum(misses, dtype=jnp.int32),
-            missed_pickups=task_state.missed_pickups + (after.liftable & ~lifted),
+            missed_pickups=task_state.missed_pickups + (after.liftable & ~lifted).astype(jnp.int32),
         )
         steps = done.steps.astype(jnp.float32)
 
         def pay(who: jax.Array, amount: float) -> jax.Array:
-            return jnp.where(who, jnp.asarray(amount, jnp.float32), 0.0) + jnp.zeros(2)
+            return jnp.where(who, jnp.asarray(amount, jnp.float32), 0.0) + jnp.zeros(2, jnp.float32)
 
         return done, Outcome(
             reward={

@@ -152,7 +152,8 @@ class FurnMove(Environment):
         """Agents' own actions, one after the other."""
         agents, yaw, succeeded = state.agents, state.yaw, []
         for i in range(2):
-            turn = (action[i] == ROTATE_RIGHT).astype(jnp.int32) - (action[i] == ROTATE_LEFT)
+            right, left = action[i] == ROTATE_RIGHT, action[i] == ROTATE_LEFT
+            turn = right.astype(jnp.int32) - left.astype(jnp.int32)
             to = agents[i] + jnp.asarray(DIRECTIONS)[yaw[i]]
             stands = is_set(state.floor, to) & is_near(to, state.object, state.object_yaw)
             free = stands & jnp.any(to != agents[1 - i])
@@ -231,18 +232,19 @@ class Carry(Task):
         """Judges one step; see `Task.step`."""
         del before, action
         distance = manhattan(after)
+        invalid = (after.kind == UNCOORDINATED).astype(jnp.int32)
         reached, nearer = distance <= 1, distance < task_state.closest
         done = CarryState(
             initial=task_state.initial,
             closest=jnp.minimum(distance, task_state.closest),
             steps=task_state.steps + 1,
-            uncoordinated=task_state.uncoordinated + (after.kind == UNCOORDINATED),
+            uncoordinated=task_state.uncoordinated + invalid,
             failed=task_state.failed + jnp.sum(~after.succeeded, dtype=jnp.int32),
         )
         steps, initial = done.steps.astype(jnp.float32), done.initial.astype(jnp.float32)
 
         def pay(who: jax.Array, amount: float) -> jax.Array:
-            return jnp.where(who, jnp.asarray(amount, jnp.float32), 0.0) + jnp.zeros(2)
+            return jnp.where(who, jnp.asarray(amount, jnp.float32), 0.0) + jnp.zeros(2, jnp.float32)
 
         return done, Outcome(
             reward={

@@ -113,8 +113,8 @@ class EgocentricView(Sensor):
         for i in range(2):
             ahead = jnp.asarray(DIRECTIONS)[state.yaw[i]].astype(jnp.float32)
             middle = (state.agents[i].astype(jnp.float32) + 0.5) * _PIXELS - 0.5
-            for offset, radius, color in ((0.0, 0.45, _AGENTS[i]), (0.3, 0.15, _DARK)):
+            for offset, radius, paint in ((0.0, 0.45, _AGENTS[i]), (0.3, 0.15, _DARK)):
                 row, column = middle + offset * _PIXELS * ahead
                 disk = (rows - row) ** 2 + (columns - column) ** 2 <= (radius * _PIXELS) ** 2
-                image = jnp.where(disk[..., None], jnp.asarray(color), image)
+                image = jnp.where(disk[..., None], jnp.asarray(paint), image)
         return image.astype(jnp.uint8)

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from examples import advisor
+from examples import advisor, furnmove
 from jaxact import train
 from jaxact.collect import collect
 from jaxact.loading import EXAMPLES, load_experiment, shipped_examples
@@ -69,6 +69,12 @@ def test_all_of_advisors_experiments_can_work():
         paths = advisor.search_space(name)
         drawn = [x for key in paths for x in (key if isinstance(key, tuple) else (key,))]
         assert set(drawn) <= numbers(experiment).keys()
+
+
+def test_furnmoves_experiments_train():
+    for name, experiment in furnmove.experiments.items():
+        result = train(shrunk(experiment), evaluate_every=0, evaluation_episodes=0, progress=False)
+        assert result.metrics["losses/cordial/total_variation"].shape == (1,), name
 
 
 @pytest.mark.parametrize(
