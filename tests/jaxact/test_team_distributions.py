@@ -109,9 +109,12 @@ def test_teams_are_told_what_the_tables_say(name):
         def each(x, shape=shape):
             return np.repeat(x, agents, axis=-1).reshape(shape)
 
-        np.testing.assert_allclose(team.log_prob(a), each(expected), rtol=1e-5)
-        np.testing.assert_allclose(team.entropy(), each(entropy), rtol=1e-5)
-        np.testing.assert_array_equal(team.mode(), m)
+        log_prob, found, likeliest = jax.jit(lambda d, a: (d.log_prob(a), d.entropy(), d.mode()))(
+            team, a
+        )
+        np.testing.assert_allclose(log_prob, each(expected), rtol=1e-5)
+        np.testing.assert_allclose(found, each(entropy), rtol=1e-5)
+        np.testing.assert_array_equal(likeliest, m)
     other = drawn(agents, seed=5)["central"][0]
     if name == "central":
         q = np.exp(joint_log_probs(other, agents))[:, :, 0]
@@ -205,13 +208,13 @@ def test_cordial_is_the_mean_over_cells_of_the_matrix(agents):
 @pytest.mark.parametrize("actor", [CentralActor(ACTIONS), SyncActor(ACTIONS, COMPONENTS)])
 def test_actors_of_teams_give_every_agent_one_distribution(actor):
     features = jax.random.normal(jax.random.key(0), (LANES, 2, 5), jnp.float32)
-    distribution, params = actor.init_with_output(jax.random.key(1), features)
+    distribution, params = jax.jit(actor.init_with_output)(jax.random.key(1), features)
     shared = distribution.logits if isinstance(actor, CentralActor) else distribution.weights
     assert shared.shape[:2] == (LANES, 2)
     np.testing.assert_array_equal(shared[:, 0], shared[:, 1])
     # At first it is nearly uniform, and what one agent remembers counts for both.
     np.testing.assert_allclose(distribution.entropy(), 2 * np.log(ACTIONS), atol=0.02)
-    changed = actor.apply(params, features.at[0, 1].add(1.0))
+    changed = jax.jit(actor.apply)(params, features.at[0, 1].add(1.0))
     again = changed.logits if isinstance(actor, CentralActor) else changed.weights
     assert not np.allclose(again[0, 0], shared[0, 0])
     np.testing.assert_array_equal(again[1:], shared[1:])
