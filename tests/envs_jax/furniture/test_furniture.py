@@ -273,8 +273,11 @@ def test_who_holds_a_television_stands_within_its_reach():
 def test_the_worlds_are_sound(name):
     pomdp = envs_jax.make(name, maps=(ROOM,), size=14)
     check_pomdp(pomdp)
-    state, _ = pomdp.reset(jax.random.key(0))
-    assert np.asarray(pomdp.pictures(state)["view"]).shape == (168, 168, 3)
+    picture = jax.jit(lambda key: pomdp.pictures(pomdp.reset(key)[0])["view"])
+    found = np.asarray(picture(jax.random.key(0)))
+    assert found.shape == (168, 168, 3)
+    # Dark is only where agents look.
+    assert (found == [20, 20, 20]).all(-1).any()
 
 
 def test_rooms_are_read_from_reachable_points(tmp_path):
