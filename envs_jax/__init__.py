@@ -1,5 +1,6 @@
 """Worlds and tasks in pure JAX, built by `make(id)`."""
 
+from envs_jax import furniture as furniture
 from envs_jax import houses as houses
 from envs_jax import lighthouse as lighthouse
 from envs_jax import minigrid as minigrid
@@ -10,6 +11,7 @@ from envs_jax.registry import make as make
 from envs_jax.registry import register as register
 
 __all__ = [
+    "furniture",
     "houses",
     "ids",
     "lighthouse",

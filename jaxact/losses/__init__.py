@@ -9,6 +9,7 @@ from jaxact.losses.base import Following as Following
 from jaxact.losses.base import Loss as Loss
 from jaxact.losses.base import Progress as Progress
 from jaxact.losses.base import Rewarding as Rewarding
+from jaxact.losses.cordial import Cordial as Cordial
 from jaxact.losses.cpca import CPCA as CPCA
 from jaxact.losses.cpca import CPCASoftmax as CPCASoftmax
 from jaxact.losses.curiosity import Curiosity as Curiosity
@@ -42,6 +43,7 @@ __all__ = [
     "Anchored",
     "Batch",
     "CPCASoftmax",
+    "Cordial",
     "Critic",
     "Curiosity",
     "Following",

@@ -23,6 +23,8 @@ from jaxact.models.output import ActorCriticOutput as ActorCriticOutput
 from jaxact.models.projected_grid import ProjectedGrid as ProjectedGrid
 from jaxact.models.q_network import QNetwork as QNetwork
 from jaxact.models.resnet import ResNet as ResNet
+from jaxact.models.team_actors import CentralActor as CentralActor
+from jaxact.models.team_actors import SyncActor as SyncActor
 
 __all__ = [
     "GRU",
@@ -34,6 +36,7 @@ __all__ = [
     "AgentsActorCritic",
     "BagOfWords",
     "BidirectionalWords",
+    "CentralActor",
     "Concatenated",
     "Embedding",
     "FiLM",
@@ -46,6 +49,7 @@ __all__ = [
     "ProjectedGrid",
     "QNetwork",
     "ResNet",
+    "SyncActor",
     "Vector",
     "WordsGRU",
 ]

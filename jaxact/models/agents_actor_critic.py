@@ -39,6 +39,9 @@ class AgentsActorCritic(nn.Module):
       identity: whether each agent is told which one it is, as a further feature; with parameters
         in common this is what lets them take different parts.
       previous_action: whether an agent's previous action is fed back as an input.
+      team_actor: a module from what all agents remember, float32 [..., A, F], to a
+        `TeamDistribution` of their joint actions, such as `CentralActor` and `SyncActor`; None if
+        each agent has a policy of its own.
     """
 
     action_space: Agents
@@ -48,6 +51,7 @@ class AgentsActorCritic(nn.Module):
     central_critic: bool = False
     identity: bool = False
     previous_action: bool = False
+    team_actor: nn.Module | None = None
 
     @nn.compact
     def __call__(
@@ -90,8 +94,13 @@ class AgentsActorCritic(nn.Module):
         features, memory = self._remember(features, memory, is_first)
 
         own = self.shared != "all"
-        actor = ActorHead(self.action_space.space, name="actor")
-        distribution = self._each(lambda m, x: m(x), own, axis)(actor, features)
+        distribution = (
+            self._each(lambda m, x: m(x), own, axis)(
+                ActorHead(self.action_space.space, name="actor"), features
+            )
+            if self.team_actor is None
+            else self.team_actor(features)
+        )
         outputs = self.action_space.count if self.central_critic else 1
         initial = nn.initializers.orthogonal(1.0)
         critic = nn.Dense(outputs, kernel_init=initial, name="critic")

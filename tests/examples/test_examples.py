@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from examples import advisor
+from examples import advisor, furnmove
 from jaxact import train
 from jaxact.collect import collect
 from jaxact.loading import EXAMPLES, load_experiment, shipped_examples
@@ -69,6 +69,17 @@ def test_all_of_advisors_experiments_can_work():
         paths = advisor.search_space(name)
         drawn = [x for key in paths for x in (key if isinstance(key, tuple) else (key,))]
         assert set(drawn) <= numbers(experiment).keys()
+
+
+@pytest.mark.parametrize(
+    "policy",
+    ["sync", *(pytest.param(x, marks=pytest.mark.slow) for x in ("marginal", "central"))],
+)
+def test_furnmoves_experiments_train(policy):
+    experiment = shrunk(furnmove.experiments[policy])
+    result = train(experiment, evaluate_every=0, evaluation_episodes=0, progress=False)
+    assert 0 < result.metrics["losses/cordial/invalid_probability"][0] < 1
+    assert (result.metrics["train/gradient_norm"] > 0).all()
 
 
 @pytest.mark.parametrize(
