@@ -3,8 +3,8 @@
 Run `python -m benchmarks.results RUN [RUN ...]`: the runs of an experiment, which differ in the
 seed, become a file with the commit, versions, the mean over seeds, the steps at which success was
 first at 97 and 99 %, and of each run the command that makes it, the training curve and the held-out
-evaluations with their intervals; `docs/results/<figure>.png` and `.svg` show success against steps
-for all of them.
+evaluations with their intervals; `docs/results/<figure>.png` and `.svg` show success, or another
+metric, against steps for all of them.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ class Arguments:
     """The commit they were trained at."""
     figure: str = "gotolocal"
     """Name of the figure."""
+    metric: str = "success"
+    """What the figure shows, of evaluations and of training."""
     output: Path = RESULTS
     """Directory to write to."""
 
@@ -53,7 +55,8 @@ def main() -> None:
         files.append(arguments.output / f"{result['name']}.json")
         files[-1].write_text(json.dumps(result, indent=1) + "\n")
         print(files[-1], json.dumps({name: result[name] for name in ("final", "first_at")}))
-    figure = plot_runs(files, metrics=("evaluation/success+train/success",))
+    shown = f"evaluation/{arguments.metric}+train/{arguments.metric}"
+    figure = plot_runs(files, metrics=(shown,))
     print(*figure.save(arguments.output / f"{arguments.figure}.png"))
 
 
