@@ -3,9 +3,8 @@
 
 python -m jaxact.train examples/stag_hunt.py:g1
 
-A name after the colon is one of `experiments`: what meeting the stag alone costs. Up to 2 it pays
-to hunt together, at 3 the plants are the safer choice; `3_prosocial` are agents who care for what
-the other earns as much as for their own.
+A name after the colon is one of `experiments`: what meeting the stag alone costs, from `g0_5` to
+`g3`; `g3_prosocial` are agents who care for what the other earns as much as for their own.
 """
 
 import dataclasses
