@@ -9,7 +9,7 @@ concerns the learners.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import jax
@@ -128,13 +128,8 @@ class Game(Environment):
     def step(self, key: jax.Array, state: GameState, action: PyTree) -> GameState:
         """Lets opponents choose their actions, and returns what follows on those of all."""
         world_key, *keys = jax.random.split(key, 1 + len(self.opponents))
-        played = [
-            self._choose(*given)
-            for given in zip(
-                keys, self.opponents, state.params, state.memories, [state.readings] * len(keys),
-                strict=True,
-            )
-        ]  # fmt: skip
+        each = zip(keys, self.opponents, state.params, state.memories, strict=True)
+        played = [self._choose(*given, state.readings) for given in each]
         actions = [action, *(chosen for chosen, _ in played)]
         groups = [self.learners, *(opponent.agents for opponent in self.opponents)]
 
@@ -274,7 +269,7 @@ class WithOpponents(TaskSampler):
       game: whose world has the sampler.
     """
 
-    game: Game
+    game: Game = field(repr=False)
 
     @property
     def learns(self) -> bool:

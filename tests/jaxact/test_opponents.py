@@ -163,6 +163,7 @@ def test_a_policy_of_a_run_is_played_against(tmp_path):
     single = ActorCritic(left.action_space, ENCODER, GRU(8))
     experiment = Experiment("second", left, single, pipeline)
     experiment.check()
+    assert "array" not in repr(left)
     # What is kept of a run tells two opponents apart.
     other = against(crowd(2), {1: policy_of(2)})
     assert fingerprint(experiment) != fingerprint(dataclasses.replace(experiment, pomdp=other))
