@@ -4,7 +4,9 @@
 python -m jaxact.train examples/stag_hunt.py:g1
 
 A name after the colon is one of `experiments`: what meeting the stag alone costs, from `g0_5` to
-`g3`; `g3_prosocial` are agents who care for what the other earns as much as for their own.
+`g3`; `g3_prosocial` are agents who care for what the other earns as much as for their own. In
+`g1_past_selves` one agent learns beside what it was some updates ago; it is evaluated beside one
+that has learnt nothing.
 """
 
 import dataclasses

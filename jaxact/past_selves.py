@@ -15,7 +15,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxact.errors import JaxactError
-from jaxact.opponents import Opponent, WithOpponents, make_game, rows_of, space_of, world_of
+from jaxact.game import Opponent, rows_of, space_of
+from jaxact.opponents import WithOpponents, make_game, world_of
 from jaxact.policy import Policy
 from jaxact.pomdp import POMDP, Episode, FinishedEpisodes, PyTree
 from jaxact.spaces import Agents

@@ -12,10 +12,11 @@ import envs_jax
 import jaxact
 from jaxact import Experiment, JaxactError, Stage, TrainingPipeline
 from jaxact.evaluate import load_policy
+from jaxact.game import Game
 from jaxact.gymnasium_adapter import to_gymnasium
 from jaxact.losses import PPO
 from jaxact.models import GRU, ActorCritic, AgentsActorCritic, Concatenated, NoMemory, Vector
-from jaxact.opponents import Game, against
+from jaxact.opponents import against
 from jaxact.overrides import fingerprint
 from jaxact.policy import Policy
 from jaxact.spaces import Agents, Discrete
