@@ -116,9 +116,22 @@ def _compile(world: Any, job: Job) -> tuple[Any, Facts]:
 def _jaxact(job: Job) -> tuple[Running, Facts]:
     import envs_jax
 
-    loop, facts = _compile(JaxactWorld(envs_jax.make(job.id), job.devices), job)
+    pomdp = envs_jax.make(job.id)
+    loop, facts = _compile(JaxactWorld(pomdp, job.devices), job)
     # It may depend on the level.
-    return loop, facts | {"horizon": int(np.median(loop.carry.state[0].horizon))}
+    facts |= {"horizon": int(np.median(loop.carry.state[0].horizon))}
+    return loop, facts | _of_agents(pomdp)
+
+
+def _of_agents(pomdp: Any) -> Facts:
+    """Returns what the line of a world of several agents says beside those of others."""
+    from jaxact.spaces import Agents
+
+    if not isinstance(pomdp.action_space, Agents):
+        return {}
+    readings = {n: x.structure for n, x in pomdp.observation_space.spaces.items()}
+    seen = [f"{name} {'×'.join(map(str, x.shape[1:]))}" for name, x in readings.items()]
+    return {"agents": pomdp.num_agents, "observation": f"{', '.join(seen)} of each agent"}
 
 
 class JaxactWorld:
@@ -383,6 +396,21 @@ class MiniGridLoop(Host):
         return time.perf_counter() - begun
 
 
+def _jaxmarl(name: str) -> Callable[[Job], tuple[Running, Facts]]:
+    def build(job: Job) -> tuple[Running, Facts]:
+        require("jaxmarl")
+        import envs_jax
+        from benchmarks.jaxmarl_worlds import JaxMARLWorld
+
+        if not _of_agents(envs_jax.make(job.id)):
+            raise Unsupported("JaxMARL's worlds are set beside those of several agents only")
+        world = JaxMARLWorld(name, job.horizon)
+        loop, facts = _compile(world, job)
+        return loop, facts | {"agents": world.env.num_agents}
+
+    return build
+
+
 FUSION_EMITTERS_OFF = "--xla_cpu_use_fusion_emitters=false"
 
 SYSTEMS = {
@@ -425,7 +453,25 @@ SYSTEMS = {
         share=1 / 4,
     ),
 }
+# Of worlds of one agent: each has the same worlds.
 PEERS = tuple(name for name in SYSTEMS if name != "jaxact")
+# Of worlds of several agents: one world each, which is not the same but of like size.
+PEERS_OF_AGENTS = {
+    "jaxmarl-coin": "3×3×4 of each of two agents",
+    "jaxmarl-storm": "view 5×5×10 and inventory of each of two agents, on a grid of 8×8",
+    "jaxmarl-overcooked": "4×5×26 of each of two agents",
+}
+SYSTEMS |= {
+    name: System(
+        build=_jaxmarl(name),
+        observation=observation,
+        turnover="its own: at the same step; its select under vmap resets at every step",
+        variants=("", FUSION_EMITTERS_OFF),
+        prng=PHILOX,
+        share=1 / 8,
+    )
+    for name, observation in PEERS_OF_AGENTS.items()
+}
 
 
 def build(job: Job) -> tuple[Running, Facts]:

@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO, Self
+from typing import IO, ClassVar, Self
 
 import tyro
 
@@ -40,6 +40,8 @@ PROGRAM = "benchmarks.env_throughput"
 @dataclass(frozen=True)
 class Arguments:
     """Times worlds under random actions, beside their peers, and prints lines of JSON."""
+
+    known_peers: ClassVar[tuple[str, ...]] = PEERS
 
     ids: tuple[str, ...] = DEFAULT_IDS
     """Worlds, by Farama's ids."""
@@ -134,13 +136,18 @@ class Worker:
 
 def main() -> None:
     """Runs the command line."""
-    arguments = tyro.cli(Arguments, prog=f"python -m {PROGRAM}")
+    run(Arguments, PROGRAM)
+
+
+def run(kind: type[Arguments], program: str) -> None:
+    """Runs a command line with arguments of this kind."""
+    arguments = tyro.cli(kind, prog=f"python -m {program}")
     try:
         lines = measure(arguments, read(arguments.output) if arguments.output else [])
         first = next(lines)  # All has been checked then, and the file may be written anew.
         print_lines(chain([first], lines), arguments.output)
     except JaxactError as error:
-        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        print(f"{program}: {error}", file=sys.stderr)
         sys.exit(2)
 
 
@@ -193,8 +200,8 @@ def check(arguments: Arguments) -> list[str]:
     import envs_jax
 
     for peer in arguments.peers:
-        if peer not in PEERS:
-            raise unknown("peer", peer, PEERS)
+        if peer not in arguments.known_peers:
+            raise unknown("peer", peer, arguments.known_peers)
     for name in arguments.ids:
         envs_jax.make(name)
     numbers = {"lanes": min(arguments.lanes, default=0), "steps": arguments.steps}
@@ -281,8 +288,10 @@ def summarise(group: list[Worker]) -> Line:
     best = max(working, key=lambda worker: rates[worker.job.variant])
     system, facts = SYSTEMS[best.job.system], best.facts
     taken = len(best.seconds) * best.job.steps * facts["lanes"]
+    agents = {"agents": facts["agents"]} if "agents" in facts else {}
     line = head | {
         "lanes": facts["lanes"],
+        **agents,
         "steps_per_second": rates[best.job.variant],
         "steps_per_second_median": _rate(best, statistics.median(best.seconds)),
         "steps_per_second_mean": _rate(best, statistics.mean(best.seconds)),
@@ -295,7 +304,7 @@ def summarise(group: list[Worker]) -> Line:
         "prng": system.prng,
         "episodes_per_step": round(facts["finished"] / taken, 6),
         "checksum": facts["checksum"],
-        "observation": system.observation,
+        "observation": facts.get("observation", system.observation),
         "turnover": system.turnover,
     }
     others = {name or "default": rate for name, rate in rates.items() if name != best.job.variant}

@@ -19,7 +19,7 @@ from typing import Any, TextIO
 from benchmarks.env_systems import Job, Unsupported, build
 
 PACKAGES = ("jax", "jaxlib", "flax", "numpy", "xminigrid", "navix", "envpool", "minigrid")
-PACKAGES += ("miniworld", "vizdoom")
+PACKAGES += ("miniworld", "vizdoom", "jaxmarl")
 
 
 def main() -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxact.errors import JaxactError
-from jaxact.spaces import Discrete, Space
+from jaxact.spaces import Agents, Discrete, Space
 
 PyTree = Any
 AXIS = "lanes"
@@ -163,6 +163,8 @@ def draw_actions(space: Space, key: jax.Array, lanes: int) -> PyTree:
     """Draws a uniform action for each lane, in one batch where the space is discrete."""
     if isinstance(space, Discrete):
         return jax.random.randint(key, (lanes,), 0, space.n, jnp.int32)
+    if isinstance(space, Agents) and isinstance(space.space, Discrete):
+        return jax.random.randint(key, (lanes, space.count), 0, space.space.n, jnp.int32)
     return jax.vmap(space.sample)(jax.random.split(key, lanes))
 
 

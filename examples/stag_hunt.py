@@ -4,7 +4,9 @@
 python -m jaxact.train examples/stag_hunt.py:g1
 
 A name after the colon is one of `experiments`: what meeting the stag alone costs, from `g0_5` to
-`g3`; `g3_prosocial` are agents who care for what the other earns as much as for their own.
+`g3`; `g3_prosocial` are agents who care for what the other earns as much as for their own. In
+`g1_past_selves` one agent learns beside what it was some updates ago; it is evaluated beside one
+that has learnt nothing.
 """
 
 import dataclasses
@@ -13,10 +15,12 @@ import envs_jax
 from jaxact import Experiment, Stage, TrainingPipeline
 from jaxact.agents import MixedRewards
 from jaxact.losses import PPO
-from jaxact.models import GRU, AgentsActorCritic, Concatenated, Vector
+from jaxact.models import GRU, ActorCritic, AgentsActorCritic, Concatenated, Vector
+from jaxact.past_selves import against_past_selves
 from jaxact.schedules import Linear
 
 _STEPS = 3_000_000
+_ENCODER = Concatenated({"map": Vector((64,), axes=3)})
 
 
 def _name(maul_penalty: float) -> str:
@@ -29,11 +33,10 @@ def _experiment(maul_penalty: float, others: float = 0.0) -> Experiment:
     if others:
         pomdp = dataclasses.replace(pomdp, task=MixedRewards(pomdp.task, others=others))
         name += "_prosocial"
-    encoder = Concatenated({"map": Vector((64,), axes=3)})
     return Experiment(
         name=name,
         pomdp=pomdp,
-        model=AgentsActorCritic(pomdp.action_space, encoder, GRU(64), shared="body"),
+        model=AgentsActorCritic(pomdp.action_space, _ENCODER, GRU(64), shared="body"),
         pipeline=TrainingPipeline(
             stages=(Stage(losses={"ppo": PPO(clip=0.1)}, steps=_STEPS),),
             lanes=64,
@@ -45,6 +48,18 @@ def _experiment(maul_penalty: float, others: float = 0.0) -> Experiment:
     )
 
 
+def _beside_past_selves(maul_penalty: float) -> Experiment:
+    together = _experiment(maul_penalty)
+    model = ActorCritic(together.pomdp.action_space.space, _ENCODER, GRU(64))
+    return dataclasses.replace(
+        together,
+        name=f"{together.name}_past_selves",
+        pomdp=against_past_selves(together.pomdp, model, size=8, every=25),
+        model=model,
+    )
+
+
 experiments = {_name(g): _experiment(g) for g in (0.5, 1.0, 2.0, 3.0)}
 experiments |= {f"{_name(g)}_prosocial": _experiment(g, others=1.0) for g in (2.0, 3.0)}
+experiments["g1_past_selves"] = _beside_past_selves(1.0)
 experiment = experiments["g1"]

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import jax
+import numpy as np
 
 from jaxact.experiment import Experiment
 from jaxact.overrides import leaves, to_json
@@ -32,7 +33,8 @@ def describe(experiment: Experiment, devices: int | None = None) -> str:
         lines.append(f"  {part:12} {getattr(pomdp, part)}")
     lines += [f"  sensor       {n}: {_space(s)}" for n, s in pomdp.observation_space.spaces.items()]
     lines += [f"  actions      {pomdp.action_space}", "", "values (change with --set PATH=VALUE)"]
-    lines += [f"  {path} = {_text(value)}" for path, value in leaves(experiment).items()]
+    values = {path: value for path, value in leaves(experiment).items() if not _is_array(value)}
+    lines += [f"  {path} = {_text(value)}" for path, value in values.items()]
 
     lines += ["", "parameters"]
     for path, leaf in jax.tree_util.tree_leaves_with_path(state.params):
@@ -89,6 +91,11 @@ def update_flops(experiment: Experiment, stage_index: int) -> float:
     epochs = pipeline.at(stage).epochs if stage.losses else 0
     stored = sum(storage.steps for storage in stage.storages.values())
     return forward * (stage.acts + 3 * (epochs + stored / pipeline.steps_per_update(stage)))
+
+
+def _is_array(value: Any) -> bool:
+    """Tells what cannot be set by a text, such as the parameters of a frozen policy."""
+    return isinstance(value, jax.Array | np.ndarray)
 
 
 def _text(value: Any) -> str:

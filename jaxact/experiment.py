@@ -13,7 +13,7 @@ from jaxact.errors import JaxactError, unknown
 from jaxact.loss_checks import check_losses
 from jaxact.losses.base import Rewarding
 from jaxact.pipeline import Stage, TrainingPipeline
-from jaxact.pomdp import POMDP
+from jaxact.pomdp import POMDP, FollowsPolicy
 from jaxact.spaces import Agents
 from jaxact.storages.base import Storage
 
@@ -43,6 +43,8 @@ class Experiment:
         """
         pipeline = self.pipeline
         self._check_agents()
+        if isinstance(self.pomdp.sampler, FollowsPolicy):
+            self.pomdp.sampler.check_model(self.model)
         for index, stage in enumerate(pipeline.stages):
             settings = pipeline.at(stage)
             where = f"stage {index}"

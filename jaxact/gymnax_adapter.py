@@ -15,10 +15,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxact import spaces
 from jaxact.errors import JaxactError
+from jaxact.gymnax_spaces import flattened, to_flat_space, to_space
 from jaxact.pomdp import POMDP, PyTree, State
 
 
@@ -128,7 +128,7 @@ class GymnaxEnvironment:
           JaxactError: gymnax is not installed.
         """
         del params
-        return _gymnax_space(self.pomdp.action_space)
+        return to_space(self.pomdp.action_space, _gymnax())
 
     def observation_space(self, params: GymnaxParams | None = None) -> Any:
         """Returns gymnax's space of the observations.
@@ -139,44 +139,13 @@ class GymnaxEnvironment:
         del params
         space = self.pomdp.observation_space
         if not self.flatten:
-            return _gymnax_space(space)
-        low, high = (np.concatenate(bounds) for bounds in zip(*_bounds(space), strict=True))
-        return _gymnax().Box(low, high, low.shape, jnp.float32)
+            return to_space(space, _gymnax())
+        return to_flat_space(space, _gymnax())
 
     def _observed(self, observation: PyTree) -> PyTree:
         if not self.flatten:
             return observation
-        return jnp.concatenate(_vectors(self.pomdp.observation_space, observation))
-
-
-def _parts(space: spaces.Space) -> dict[Any, spaces.Space]:
-    """Returns the spaces that a composite one is made of, by how to get at their values."""
-    match space:
-        case spaces.Dict(named):
-            return dict(named)
-        case spaces.Tuple(parts):
-            return dict(enumerate(parts))
-    raise JaxactError(f"gymnax has no space like {space}")
-
-
-def _vectors(space: spaces.Space, value: PyTree) -> list[jax.Array]:
-    match space:
-        case spaces.Discrete(n):
-            return [jax.nn.one_hot(value, n, dtype=jnp.float32)]
-        case spaces.Box():
-            return [jnp.ravel(value).astype(jnp.float32)]
-    return [x for name, part in _parts(space).items() for x in _vectors(part, value[name])]
-
-
-def _bounds(space: spaces.Space) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Returns the lowest and the highest values of each of `_vectors`."""
-    match space:
-        case spaces.Discrete(n):
-            return [(np.zeros(n, np.float32), np.ones(n, np.float32))]
-        case spaces.Box(low, high, shape):
-            size = math.prod(shape)
-            return [(np.full(size, low, np.float32), np.full(size, high, np.float32))]
-    return [pair for part in _parts(space).values() for pair in _bounds(part)]
+        return flattened(self.pomdp.observation_space, observation)
 
 
 def _gymnax() -> Any:
@@ -187,14 +156,3 @@ def _gymnax() -> Any:
             "gymnax's spaces need gymnax, which is not installed: pip install gymnax"
         ) from None
     return gymnax_spaces
-
-
-def _gymnax_space(space: spaces.Space) -> Any:
-    match space:
-        case spaces.Discrete(n):
-            return _gymnax().Discrete(n)
-        case spaces.Box(low, high, shape, dtype):
-            return _gymnax().Box(low, high, shape, jnp.dtype(dtype))
-        case spaces.Tuple(parts):
-            return _gymnax().Tuple([_gymnax_space(part) for part in parts])
-    return _gymnax().Dict({name: _gymnax_space(part) for name, part in _parts(space).items()})

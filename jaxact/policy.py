@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import flax.linen as nn
 import jax
@@ -43,7 +43,7 @@ class Policy:
     """
 
     model: nn.Module
-    params: PyTree
+    params: PyTree = field(repr=False)
     action_space: Space
 
     def initial_memory(self, lanes: int | None = None) -> PolicyMemory:

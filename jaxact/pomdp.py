@@ -267,6 +267,24 @@ class Listed(Protocol):
         ...
 
 
+@runtime_checkable
+class FollowsPolicy(Protocol):
+    """A sampler whose state changes with what the policy learns, as that of past selves."""
+
+    def check_model(self, model: Any) -> None:
+        """Raises JaxactError if it cannot follow a policy with this model."""
+        ...
+
+    def follow(self, sampler_state: PyTree, params: PyTree) -> PyTree:
+        """Returns the state to draw with; called before each rollout.
+
+        Args:
+          sampler_state: after the rollout before.
+          params: those that the model acts with in this one.
+        """
+        ...
+
+
 class Sensor(ABC):
     """One named part of the observation. It may look at the world and at the task."""
 

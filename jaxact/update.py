@@ -15,7 +15,7 @@ from jaxact.gradients import GradientStep, Learnt, Metrics, stack_metrics
 from jaxact.losses.base import Anchored, Batch, Loss, Progress, Rewarding
 from jaxact.models.output import ActorCriticOutput
 from jaxact.pipeline import Stage, TrainingPipeline
-from jaxact.pomdp import PyTree
+from jaxact.pomdp import FollowsPolicy, PyTree
 from jaxact.returns import episode_means, generalized_advantages
 from jaxact.rollout import Trajectory, for_each_agent, mean_of_agents, next_values, rollout
 from jaxact.schedules import Schedule, value_at
@@ -95,6 +95,9 @@ def _rollout_update(
 ) -> tuple[TrainState, Metrics, Metrics]:
     """Acts, and learns from it; returns the state, metrics, and sums over finished episodes."""
     pomdp, settings = experiment.pomdp, experiment.pipeline.at(stage)
+    sampler = state.sampler
+    if isinstance(pomdp.sampler, FollowsPolicy):
+        sampler = pomdp.sampler.follow(sampler, state.params)
 
     metrics: Metrics = {}
     if stage.exploration is not None:
@@ -113,7 +116,7 @@ def _rollout_update(
     lanes, trajectory = rollout(
         pomdp,
         policy,
-        state.sampler,
+        sampler,
         state.lanes,
         settings.rollout_length,
         query_expert=stage.needs_expert,
@@ -141,7 +144,6 @@ def _rollout_update(
     if stage.losses:
         learnt, keys, losses = _learn_from_rollout(gradient_step, settings, learnt, batch)
 
-    sampler = state.sampler
     if pomdp.sampler.learns:
         error = mean_of_agents(jnp.abs(batch.advantage), 2)
         error = episode_means(error, trajectory.step.finished)

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from examples import advisor, furnmove
+from examples import advisor, furnmove, stag_hunt
 from jaxact import train
 from jaxact.collect import collect
 from jaxact.loading import EXAMPLES, load_experiment, shipped_examples
@@ -69,6 +69,10 @@ def test_all_of_advisors_experiments_can_work():
         paths = advisor.search_space(name)
         drawn = [x for key in paths for x in (key if isinstance(key, tuple) else (key,))]
         assert set(drawn) <= numbers(experiment).keys()
+
+
+def test_stag_hunt_beside_past_selves_can_work():
+    stag_hunt.experiments["g1_past_selves"].check()
 
 
 @pytest.mark.parametrize(

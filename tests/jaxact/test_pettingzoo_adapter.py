@@ -14,6 +14,10 @@ from tests.crowd import crowd
 POMDP = crowd(3)
 
 
+def test_pettingzoo_finds_no_fault_with_a_world_of_ones_own():
+    parallel_api_test(to_pettingzoo(POMDP), num_cycles=60)
+
+
 @pytest.mark.parametrize(
     "name", ["Markov-StagHunt-v0", "Markov-Harvest-v0", "Markov-Escalation-v0"]
 )
