@@ -11,7 +11,8 @@ python -m jaxact.collect Advisor-PoisonedDoors-v0 --episodes 10000 --output \
     demonstrations/poisoned_doors
 
 As in the study, crossings of lava that were failed are given again, until 1000 steps were spent on
-them, and the network is AllenAct's: no layer between the cells' embeddings and the memory.
+them, and the network is AllenAct's: no layer between the cells' embeddings and the memory, and
+actors that begin with orthogonal weights of gain 1.
 """
 
 import dataclasses
@@ -115,7 +116,11 @@ def _experiments() -> dict[str, Experiment]:
     for world, (pomdp, encoder, memory, steps) in WORLDS.items():
         for method, stage in _stages(world, steps).items():
             model = ActorCritic(
-                pomdp.action_space, encoder, memory, auxiliary_actor=method.startswith("advisor")
+                pomdp.action_space,
+                encoder,
+                memory,
+                auxiliary_actor=method.startswith("advisor"),
+                actor_gain=1.0,
             )
             pipeline = TrainingPipeline(
                 (stage,),
