@@ -27,6 +27,7 @@ from envs_jax.houses.vision import (
     HABITAT_DEPTH,
     DepthScale,
     DepthSensor,
+    GoalMaskSensor,
     RGBSensor,
     SemanticSensor,
 )
@@ -36,7 +37,15 @@ from jaxact.pomdp import POMDP, Sensor
 
 TASKS = ("point_nav", "object_nav")
 STYLES: dict[str, Style] = {"room": ROOM, "apartment": APARTMENT, "floor": FLOOR}
-OBSERVATIONS = ("depth", "rgb", "semantic", "viewpoint", "collision", "last_action")
+OBSERVATIONS = (
+    "depth",
+    "rgb",
+    "semantic",
+    "goal_mask",
+    "viewpoint",
+    "collision",
+    "last_action",
+)
 _HORIZON = 500
 # Corners of a roadmap at most; of 128 houses of each style none had more.
 _NODES = {"room": 128, "apartment": 128, "floor": 256}
@@ -100,9 +109,9 @@ def navigation(
     Args:
       platform: "robothor", "ithor" or "habitat".
       task: "point_nav" or "object_nav".
-      observation: what is sensed beside the goal, out of "depth", "rgb", "semantic", "viewpoint"
-        (for frames that the model renders, see `rerendering`), "collision" and "last_action";
-        nothing for a blind agent.
+      observation: what is sensed beside the goal, out of "depth", "rgb", "semantic", "goal_mask"
+        (of ObjectNav), "viewpoint" (for frames that the model renders, see `rerendering`),
+        "collision" and "last_action"; nothing for a blind agent.
       resolution: pixels along each edge of a frame.
       style: "room", "apartment" or "floor"; by default what is most like the platform's own.
       houses: how many there are to train in; evaluation is in others, never trained in.
@@ -127,6 +136,11 @@ def navigation(
     if scenes is None:
         scenes = GeneratedScenes(STYLES[style], houses)
     if task == "point_nav":
+        if "goal_mask" in observation:
+            raise JaxactError(
+                "a goal mask shows what object_nav is to find; point_nav's goal is not to be seen: "
+                'observe it by "point_goal", which is always there'
+            )
         to_point = presets.point_nav(platform)
         to_point = replace(to_point, house=_erring(to_point.house, numbers, noisy))
         seen = _sensors(numbers, to_point.house, observation, resolution, scenes)
@@ -162,6 +176,7 @@ def _sensors(
         "depth": lambda: DepthSensor(camera, body, platform.depth),
         "rgb": lambda: RGBSensor(camera, body),
         "semantic": lambda: SemanticSensor(camera, body),
+        "goal_mask": lambda: GoalMaskSensor(camera, body),
         "viewpoint": lambda: ViewpointSensor(scenes.boxes),
         "collision": CollisionSensor,
         "last_action": lambda: LastActionSensor(house),

@@ -16,6 +16,7 @@ import numpy as np
 
 from envs_jax.houses import categories, pictures
 from envs_jax.houses.camera import Camera, eye
+from envs_jax.houses.object_nav import ObjectNavState
 from envs_jax.houses.paint import photograph
 from envs_jax.houses.rays import View, look
 from envs_jax.houses.scene import CENTER, HALF_SIZE, forward, to_local
@@ -187,6 +188,33 @@ class SemanticSensor(CameraSensor):
 
     def _colored(self, state: HouseState, task_state: PyTree) -> jax.Array:
         return pictures.color_numbers(self.observe(state, task_state))
+
+
+@dataclass(frozen=True)
+class GoalMaskSensor(CameraSensor):
+    """Where what ObjectNav is to find is seen, float32 [H, W, 1]: 1 at its pixels, else 0.
+
+    What a perfect detector of objects tells, in the manner of ManipulaTHOR's and of HomeRobot's
+    goal masks: what is left to learn is where to look and how to get there.
+    """
+
+    @property
+    def space(self) -> Box:
+        """Not the goal, or the goal."""
+        return Box(0.0, 1.0, (self.camera.height, self.camera.width, 1))
+
+    def observe(self, state: HouseState, task_state: ObjectNavState) -> jax.Array:
+        """Returns the mask."""
+        return self._mask(state, task_state)[..., None].astype(jnp.float32)
+
+    def _mask(self, state: HouseState, task_state: ObjectNavState) -> jax.Array:
+        # Nothing, floor and ceiling are never sought.
+        planes = jnp.zeros(3, bool)
+        is_goal = jnp.concatenate([planes, state.scene.category == task_state.category])
+        return is_goal[self.look(state).surface]
+
+    def _colored(self, state: HouseState, task_state: ObjectNavState) -> jax.Array:
+        return pictures.color_numbers(self._mask(state, task_state).astype(jnp.uint8))
 
 
 @dataclass(frozen=True)

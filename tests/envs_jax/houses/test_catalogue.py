@@ -8,6 +8,7 @@ import pytest
 
 import envs_jax
 from envs_jax.houses import navigation
+from envs_jax.houses.catalogue import OBSERVATIONS
 from jaxact.errors import JaxactError
 from jaxact.overrides import numbers
 
@@ -24,7 +25,7 @@ def test_every_platform_has_both_tasks():
 
 @pytest.mark.parametrize("name", IDS)
 def test_what_is_asked_for_is_sensed(name):
-    wanted = ("depth", "rgb", "semantic", "viewpoint", "collision", "last_action")
+    wanted = tuple(x for x in OBSERVATIONS if x != "goal_mask" or "ObjectNav" in name)
     pomdp = envs_jax.make(name, observation=wanted, resolution=16)
     goal = "point_goal" if "PointNav" in name else "object_goal"
     spaces = pomdp.observation_space.spaces
@@ -52,6 +53,7 @@ def test_noise_is_the_only_difference_of_noisy_worlds():
         ({"task": "pointnav"}, "point_nav"),
         ({"style": "flat"}, "apartment"),
         ({"observation": ("dept",)}, "depth"),
+        ({"observation": ("goal_mask",)}, "point_goal"),
         ({"resolution": 0}, "resolution must be at least 1"),
         ({"houses": 0}, "at least one"),
     ],

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,7 @@ from envs_jax.houses.vision import (
     ALLENACT_DEPTH,
     HABITAT_DEPTH,
     DepthSensor,
+    GoalMaskSensor,
     InstanceSensor,
     MapSensor,
     RGBSensor,
@@ -37,6 +39,7 @@ SENSORS = {
     "smooth": RGBSensor(CAMERA, BODY, rays=2),
     "noisy_rgb": RGBSensor(CAMERA, BODY, noise=GaussianNoise()),
     "semantic": SemanticSensor(CAMERA, BODY),
+    "goal_mask": GoalMaskSensor(CAMERA, BODY),
     "instance": InstanceSensor(CAMERA, BODY),
     "map": MapSensor(21, 0.25, BODY),
 }
@@ -44,7 +47,9 @@ SENSORS = {
 
 @jax.jit
 def observe(state):
-    return {name: sensor.observe(state, None) for name, sensor in SENSORS.items()}
+    # The goal is a category of which the first box is.
+    task_state = SimpleNamespace(category=state.scene.category[0])
+    return {name: sensor.observe(state, task_state) for name, sensor in SENSORS.items()}
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +87,16 @@ def test_categories_are_those_of_the_instances(states, readings) -> None:
                 assert seen == categories.index(known[number])
             else:
                 assert seen == int(state.scene.category[number - FIRST_BOX])
+
+
+def test_goal_masks_show_the_category_sought(states, readings) -> None:
+    seen = 0
+    for state, reading in zip(states, readings, strict=True):
+        expected = reading["semantic"] == int(state.scene.category[0])
+        expected &= reading["instance"] >= FIRST_BOX
+        np.testing.assert_array_equal(reading["goal_mask"][..., 0], expected)
+        seen += expected.sum()
+    assert 0 < seen < 3 * expected.size
 
 
 def test_colors_are_of_the_surface_seen(states, readings) -> None:
