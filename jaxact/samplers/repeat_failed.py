@@ -23,14 +23,15 @@ class WaitingLevels:
       seed: uint32 [N].
       steps: int32 [N], spent on each so far.
       count: int32 scalar, how many there are.
-      ended: int32 scalar, episodes that ended in the latest rollout in which any did.
+      played: int32 scalar, how many episodes there were in the latest rollout to give them to: as
+        many as ended in it, and at least one for each lane.
       inner: the state of the levels' sampler.
     """
 
     seed: jax.Array
     steps: jax.Array
     count: jax.Array
-    ended: jax.Array
+    played: jax.Array
     inner: PyTree
 
     @property
@@ -41,8 +42,7 @@ class WaitingLevels:
     @property
     def share(self) -> jax.Array:
         """float32 scalar, the probability that an episode is of one of these levels."""
-        ended = jnp.maximum(self.ended, 1).astype(jnp.float32)
-        return jnp.minimum(self.count.astype(jnp.float32) / ended, 1.0)
+        return jnp.minimum(self.count.astype(jnp.float32) / self.played.astype(jnp.float32), 1.0)
 
 
 @dataclass(frozen=True)
@@ -55,16 +55,17 @@ class RepeatFailed(TaskSampler):
 
     A level is a seed: the episode that `sampler` draws, in its first state, with `make_key(seed)`.
     After an episode that failed, its level waits if fewer than `min_steps` steps were spent on it.
-    Each level that waits is given again about once in each rollout: an episode is one of them, each
-    as likely, with the probability of how many wait to how many episodes ended in the latest
-    rollout, and else a new one.
+    Each level that waits is given again about once in each rollout, or, where episodes are longer
+    than rollouts, in the course of an episode: an episode is one of them, each as likely, with the
+    probability of how many wait to how many episodes ended in the latest rollout, or to the number
+    of lanes if that is more, and else a new one.
 
     After AllenAct's `repeat_failed_task_for_min_steps`, with which the process that failed a task
     begins it again at once. Here many lanes share the sampler, which learns once a rollout what was
     failed in it. So the level waits until the next rollout, and any lane may take it on, in some
     rollouts none and in some several. All their steps count, so that a little more is spent on a
-    level than AllenAct would, the more the longer episodes are than rollouts. Episodes that are
-    going on when another one succeeds are played to their end.
+    level than AllenAct would. Episodes that are going on when another one succeeds are played to
+    their end.
 
     The levels that wait, and the share of episodes that are of them, are reported as
     "train/sampler/waiting" and "train/sampler/share". Success in training is that of all episodes,
@@ -103,7 +104,7 @@ class RepeatFailed(TaskSampler):
             seed=jnp.zeros(self.size, jnp.uint32),
             steps=jnp.zeros(self.size, jnp.int32),
             count=jnp.int32(0),
-            ended=jnp.int32(0),
+            played=jnp.int32(1),
             inner=self.sampler.init(make_key(0)),
         )
 
@@ -135,12 +136,12 @@ class RepeatFailed(TaskSampler):
         stays = jnp.concatenate([waits, mask & is_new & ~success])
         stays &= steps.astype(jnp.float32) < self.min_steps
         places = jnp.where(stays, jnp.cumsum(stays, dtype=jnp.int32) - 1, self.size)
-        ended = jnp.sum(mask, dtype=jnp.int32)
+        ended, lanes = jnp.sum(mask, dtype=jnp.int32), finished.mask.shape[1]
         return WaitingLevels(
             seed=jnp.zeros(self.size, jnp.uint32).at[places].set(seeds, mode="drop"),
             steps=jnp.zeros(self.size, jnp.int32).at[places].set(steps, mode="drop"),
             count=jnp.minimum(jnp.sum(stays, dtype=jnp.int32), self.size),
-            ended=jnp.where(ended > 0, ended, sampler_state.ended),
+            played=jnp.maximum(ended, lanes),
             inner=sampler_state.inner,
         )
 
