@@ -72,7 +72,7 @@ class Escalation(Environment):
         """Returns what follows; see the class."""
         agents = grid.move(state.agents, jnp.asarray(action, jnp.int32), self.size)
         at_marker = jnp.all(agents == state.marker, axis=-1)
-        beside = grid.choose(key, grid.legal(state.marker, self.size))
+        beside = grid.choose(grid.draws(key, 1)[0], grid.legal(state.marker, self.size))
         moved = grid.move(state.marker, beside, self.size)
         together = jnp.all(state.at_marker)
         return EscalationState(
@@ -141,7 +141,7 @@ class EscalationSampler(TaskSampler):
         del sampler_state
         size = self.environment.size
         agents = grid.corners(2, size)
-        marker = grid.free_cell(key, grid.occupied(agents, size), size)
+        marker = grid.free_cell(grid.draws(key, 1)[0], grid.occupied(agents, size), size)
         state = EscalationState(agents, marker, jnp.zeros(2, bool), jnp.int32(0))
         return Episode(state, jnp.int32(0), jnp.int32(self.horizon))
 

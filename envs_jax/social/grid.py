@@ -22,10 +22,23 @@ def legal(cell: jax.Array, size: int) -> jax.Array:
     return jnp.all((after >= 0) & (after < size), axis=-1)
 
 
-def choose(key: jax.Array, allowed: jax.Array) -> jax.Array:
-    """Draws one of those that are allowed, bool [n], each as likely; int32 scalar."""
-    chances = jax.random.uniform(key, allowed.shape, jnp.float32)
-    return jnp.argmax(jnp.where(allowed, chances, -1.0)).astype(jnp.int32)
+def draws(key: jax.Array, count: int) -> jax.Array:
+    """Returns float32 [count], uniform in [0, 1): what the functions below choose by."""
+    return jax.random.uniform(key, (count,), jnp.float32)
+
+
+def choose(draw: jax.Array, allowed: jax.Array) -> jax.Array:
+    """Returns one of those that are allowed, bool [n], each as likely; 0 if none is; int32.
+
+    Args:
+      draw: uniform in [0, 1).
+      allowed: bool [n].
+    """
+    rank = jnp.cumsum(allowed, dtype=jnp.int32)
+    count = rank[-1]
+    # The product may round up to the count.
+    chosen = jnp.minimum((draw * count.astype(jnp.float32)).astype(jnp.int32), count - 1)
+    return jnp.argmax(rank > chosen).astype(jnp.int32)
 
 
 def occupied(cells: jax.Array, size: int) -> jax.Array:
@@ -34,10 +47,25 @@ def occupied(cells: jax.Array, size: int) -> jax.Array:
     return jnp.any(index[:, None] == jnp.arange(size * size, dtype=jnp.int32), axis=0)
 
 
-def free_cell(key: jax.Array, taken: jax.Array, size: int) -> jax.Array:
-    """Draws a cell that is not taken, bool [size · size], each as likely; any, if all are."""
-    index = choose(key, ~taken)
+def free_cell(draw: jax.Array, taken: jax.Array, size: int) -> jax.Array:
+    """Returns a cell that is not taken, bool [size · size], each as likely; the first, if all are.
+
+    Args:
+      draw: uniform in [0, 1).
+      taken: bool [size · size], row by row.
+      size: cells along each edge.
+    """
+    index = choose(draw, ~taken)
     return jnp.stack([index % size, index // size])
+
+
+def free_cells(draws: jax.Array, taken: jax.Array, size: int) -> jax.Array:
+    """Returns different cells that are not taken, int32 [n, 2], by `draws` [n]."""
+    cells = []
+    for draw in draws:
+        cells.append(free_cell(draw, taken, size))
+        taken = taken | occupied(cells[-1][None], size)
+    return jnp.stack(cells)
 
 
 def footprint(corner: jax.Array, side: int) -> jax.Array:

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 
 from envs_jax.social import grid
 from envs_jax.social.maps import MapSensor
-from envs_jax.social.stag_hunt import scattered
 from jaxact.errors import JaxactError
 from jaxact.pomdp import POMDP, Environment, Episode, Outcome, PyTree, Task, TaskSampler
 from jaxact.spaces import Agents, Discrete
@@ -83,20 +82,18 @@ class Harvest(Environment):
 
     def step(self, key: jax.Array, state: HarvestState, action: jax.Array) -> HarvestState:
         """Returns what follows; see the class."""
-        chance_key, *plant_keys = jax.random.split(key, 1 + self.plants)
+        chances, places = grid.draws(key, 2 * self.plants).reshape(2, -1)
         agents = grid.move(state.agents, jnp.asarray(action, jnp.int32), self.size)
         stands = jnp.all(agents[:, None] == state.plants, axis=-1)
         takes = stands & (jnp.cumsum(stands, axis=0) == 1)
         taken = jnp.any(takes, axis=0)
-        changes = jax.random.uniform(chance_key, (self.plants,), jnp.float32) < jnp.where(
-            state.ripe, jnp.float32(self.dies), jnp.float32(self.ripens)
-        )
+        changes = chances < jnp.where(state.ripe, jnp.float32(self.dies), jnp.float32(self.ripens))
         dies = changes & state.ripe & ~taken
         ripe = (state.ripe | changes) & ~taken & ~dies
         plants, goes = state.plants, taken | dies
         for i in range(self.plants):
             full = grid.occupied(jnp.concatenate([agents, plants]), self.size)
-            cell = grid.free_cell(plant_keys[i], full, self.size)
+            cell = grid.free_cell(places[i], full, self.size)
             plants = plants.at[i].set(jnp.where(goes[i], cell, plants[i]))
         return HarvestState(
             agents,
@@ -156,7 +153,8 @@ class HarvestSampler(TaskSampler):
         del sampler_state
         world = self.environment
         agents = grid.corners(world.agents, world.size)
-        plants = scattered(key, world.plants, grid.occupied(agents, world.size), world.size)
+        drawn = grid.draws(key, world.plants)
+        plants = grid.free_cells(drawn, grid.occupied(agents, world.size), world.size)
         none = jnp.zeros(world.agents, jnp.int32)
         state = HarvestState(agents, plants, jnp.zeros(world.plants, bool), none, none)
         return Episode(state, jnp.int32(0), jnp.int32(self.horizon))

@@ -93,8 +93,8 @@ class StagHunt(Environment):
 
     def step(self, key: jax.Array, state: StagHuntState, action: jax.Array) -> StagHuntState:
         """Returns what follows; see the class."""
-        stag_key, key = jax.random.split(key)
-        stag = self._stag_moves(stag_key, state)
+        way, *places = grid.draws(key, 2 + self.plants)
+        stag = self._stag_moves(way, state)
         agents = grid.move(state.agents, jnp.asarray(action, jnp.int32), self.size)
         away = agents - stag
         at_stag = jnp.all((away >= 0) & (away < self.stag_side), axis=-1)
@@ -103,10 +103,10 @@ class StagHunt(Environment):
         caught = met >= self.hunters
         goes = caught | (met > 0) if self.flees else caught
         gathered = jnp.any(meets, axis=0) & ~goes
-        placed = self._grow(key, agents, stag, state.plants, goes, gathered)
+        placed = self._grow(places, agents, stag, state.plants, goes, gathered)
         return StagHuntState(agents, *placed, at_stag=at_stag, at_plant=jnp.any(meets, axis=1))
 
-    def _stag_moves(self, key: jax.Array, state: StagHuntState) -> jax.Array:
+    def _stag_moves(self, draw: jax.Array, state: StagHuntState) -> jax.Array:
         if self.stag == "stands":
             return state.stag
         room = self.size - self.stag_side + 1
@@ -118,12 +118,12 @@ class StagHunt(Environment):
             nearest = self.agents - 1 - jnp.argmin(distance[::-1])
             x, y = gap[nearest]
             allowed &= jnp.stack([x < -1, y > 1, x > 1, y < -1])
-        moved = grid.move(state.stag, grid.choose(key, allowed), room)
+        moved = grid.move(state.stag, grid.choose(draw, allowed), room)
         return jnp.where(jnp.any(allowed), moved, state.stag)
 
     def _grow(
         self,
-        key: jax.Array,
+        drawn: list[jax.Array],
         agents: jax.Array,
         stag: jax.Array,
         plants: jax.Array,
@@ -131,27 +131,26 @@ class StagHunt(Environment):
         gathered: jax.Array,
     ) -> tuple[jax.Array, jax.Array]:
         """Lets what was collected come up on free cells; returns stag and plants."""
-        stag_key, *plant_keys = jax.random.split(key, 1 + self.plants)
         taken = grid.occupied(jnp.concatenate([agents, plants]), self.size)
         old = grid.occupied(grid.footprint(stag, self.stag_side), self.size)
-        new = self.free_stag(stag_key, taken | old)
+        new = self.free_stag(drawn[0], taken | old)
         stag = jnp.where(stag_goes, new, stag)
         taken |= grid.occupied(grid.footprint(stag, self.stag_side), self.size)
         for i in range(self.plants):
-            cell = grid.free_cell(plant_keys[i], taken, self.size)
+            cell = grid.free_cell(drawn[1 + i], taken, self.size)
             plants = plants.at[i].set(jnp.where(gathered[i], cell, plants[i]))
             taken |= grid.occupied(plants[i : i + 1], self.size)
         return stag, plants
 
-    def free_stag(self, key: jax.Array, taken: jax.Array) -> jax.Array:
-        """Draws a place where no cell of the stag is taken; any, if there is none."""
+    def free_stag(self, draw: jax.Array, taken: jax.Array) -> jax.Array:
+        """Returns a place where no cell of the stag is taken, by a draw; 0, 0 if there is none."""
         room = self.size - self.stag_side + 1
         free = ~taken.reshape(self.size, self.size)
         fits = jnp.ones((room, room), bool)
         for dy in range(self.stag_side):
             for dx in range(self.stag_side):
                 fits &= free[dy : dy + room, dx : dx + room]
-        return grid.free_cell(key, ~fits.reshape(-1), room)
+        return grid.free_cell(draw, ~fits.reshape(-1), room)
 
 
 @dataclass(frozen=True)
@@ -231,29 +230,21 @@ class StagHuntSampler(TaskSampler):
         """Draws one episode."""
         del sampler_state
         world = self.environment
-        agents_key, stag_key, plants_key = jax.random.split(key, 3)
+        drawn = grid.draws(key, 1 + world.agents + world.plants)
         if self.starts == "corners":
             agents = grid.corners(world.agents, world.size)
             stag = jnp.full(2, (world.size - world.stag_side + 1) // 2, jnp.int32)
         else:
-            agents = scattered(agents_key, world.agents, jnp.zeros(world.size**2, bool), world.size)
-            stag = world.free_stag(stag_key, grid.occupied(agents, world.size))
+            nothing = jnp.zeros(world.size**2, bool)
+            agents = grid.free_cells(drawn[1 : 1 + world.agents], nothing, world.size)
+            stag = world.free_stag(drawn[0], grid.occupied(agents, world.size))
         taken = grid.occupied(
             jnp.concatenate([agents, grid.footprint(stag, world.stag_side)]), world.size
         )
-        plants = scattered(plants_key, world.plants, taken, world.size)
+        plants = grid.free_cells(drawn[1 + world.agents :], taken, world.size)
         nobody = jnp.zeros(world.agents, bool)
         state = StagHuntState(agents, stag, plants, nobody, nobody)
         return Episode(state, jnp.int32(0), jnp.int32(self.horizon))
-
-
-def scattered(key: jax.Array, count: int, taken: jax.Array, size: int) -> jax.Array:
-    """Draws different free cells, int32 [count, 2]."""
-    cells = []
-    for one in jax.random.split(key, count):
-        cells.append(grid.free_cell(one, taken, size))
-        taken = taken | grid.occupied(cells[-1][None], size)
-    return jnp.stack(cells)
 
 
 def stag_hunt(
