@@ -1,0 +1,126 @@
+"""How Gymnasium's MuJoCo environments are put together, and their ids."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+from envs_jax.physics.environment import Physics
+from envs_jax.physics.locomotion import (
+    Balance,
+    BalanceSensor,
+    BalanceTwo,
+    NoisyStart,
+    RunForward,
+)
+from envs_jax.physics.models import gymnasium_asset
+from envs_jax.physics.reacher import ReacherSensor, ReacherStart, Touch
+from envs_jax.physics.sensors import JointSensor
+from envs_jax.registry import register
+from jaxact.pomdp import POMDP, Sensor, Task, TaskSampler
+
+
+@dataclass(frozen=True)
+class _Body:
+    """A model of Gymnasium's, and what is made of it.
+
+    Attributes:
+      asset: the model's file.
+      substeps: of the simulation in a step.
+      task: of a world.
+      start: of a world and a horizon.
+      sensor: of a world.
+      horizon: steps.
+    """
+
+    asset: str
+    substeps: int
+    task: Callable[[Physics], Task]
+    start: Callable[[Physics, int], TaskSampler]
+    sensor: Callable[[Physics], Sensor]
+    horizon: int = 1000
+
+
+def _noisy(position: float, velocity: float, normal: bool = False) -> Callable[..., TaskSampler]:
+    return lambda world, horizon: NoisyStart(world, position, velocity, normal, horizon)
+
+
+def _runs(threshold: float, **numbers: float | tuple[float, float]) -> Callable[[Physics], Task]:
+    return lambda world: RunForward(world, threshold, **numbers)  # type: ignore[arg-type]
+
+
+BODIES = {
+    "InvertedPendulum": _Body(
+        "inverted_pendulum.xml", 2, lambda _: Balance(), _noisy(0.01, 0.01), JointSensor
+    ),
+    "InvertedDoublePendulum": _Body(
+        "inverted_double_pendulum.xml",
+        5,
+        lambda _: BalanceTwo(),
+        _noisy(0.1, 0.1, normal=True),
+        lambda _: BalanceSensor(),
+    ),
+    "Reacher": _Body("reacher.xml", 2, Touch, ReacherStart, ReacherSensor, horizon=50),
+    "Swimmer": _Body(
+        "swimmer.xml", 4, _runs(360.0, control=1e-4), _noisy(0.1, 0.1), partial(JointSensor, skip=2)
+    ),
+    "HalfCheetah": _Body(
+        "half_cheetah.xml",
+        5,
+        _runs(4800.0, control=0.1),
+        _noisy(0.1, 0.1, normal=True),
+        partial(JointSensor, skip=1),
+    ),
+    "Hopper": _Body(
+        "hopper.xml",
+        4,
+        _runs(
+            3800.0,
+            healthy=1.0,
+            height=(0.7, float("inf")),
+            angle=(-0.2, 0.2),
+            others=(-100.0, 100.0),
+        ),
+        _noisy(5e-3, 5e-3),
+        partial(JointSensor, skip=1, fastest=10.0),
+    ),
+    "Walker2d": _Body(
+        "walker2d_v5.xml",
+        4,
+        # Gymnasium has no threshold for it.
+        _runs(float("inf"), healthy=1.0, height=(0.8, 2.0), angle=(-1.0, 1.0)),
+        _noisy(5e-3, 5e-3),
+        partial(JointSensor, skip=1, fastest=10.0),
+    ),
+}
+
+
+def gymnasium_body(name: str, *, horizon: int | None = None) -> POMDP:
+    """Builds one of Gymnasium's MuJoCo environments, version 5, on MJX.
+
+    Args:
+      name: one of `BODIES`.
+      horizon: steps; by default Gymnasium's.
+
+    Returns:
+      The POMDP; its observation has the "joints", Gymnasium's numbers in their order.
+
+    Raises:
+      JaxactError: Gymnasium, whose models these are, is not installed.
+    """
+    body = BODIES[name]
+    world = Physics(gymnasium_asset(body.asset), body.substeps)
+    start = body.start(world, body.horizon if horizon is None else horizon)
+    return POMDP(world, body.task(world), start, {"joints": body.sensor(world)})
+
+
+def _register(name: str) -> None:
+    def build(*, horizon: int | None = None) -> POMDP:
+        return gymnasium_body(name, horizon=horizon)
+
+    register(f"Physics-{name}-v0", build)
+
+
+for _name in BODIES:
+    _register(_name)

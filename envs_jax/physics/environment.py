@@ -1,0 +1,210 @@
+"""Any MJCF model as an environment, stepped by MJX.
+
+All that a step needs of the one before is carried: joints, activations, the solver's warm start and
+mocap bodies. The rest of MJX's `Data` is made anew in each step, which gives the same bits as
+carrying it, so that a lane is small.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from envs_jax.physics.models import device_model, host_model, mjx
+from jaxact.errors import JaxactError, check_at_least, unknown
+from jaxact.pomdp import Environment
+from jaxact.spaces import Box
+
+# What MuJoCo takes for a simulation that has come apart (mjMAXVAL).
+_TOO_LARGE = 1e10
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PhysicsState:
+    """How a simulation stands; units are the model's, metres, radians and seconds as a rule.
+
+    Poses, forces and readings are those of MuJoCo's last evaluation in the step, as in C: with the
+    Euler integrator, at the beginning of the last substep.
+
+    Attributes:
+      position: float32 [nq], of the joints (`qpos`).
+      velocity: float32 [nv], of the joints (`qvel`).
+      activation: float32 [na], of actuators that have one.
+      warm_start: float32 [nv], where the solver begins.
+      time: float32 scalar.
+      mocap_position: float32 [nmocap, 3].
+      mocap_rotation: float32 [nmocap, 4], quaternions w, x, y, z.
+      body_position: float32 [nbody, 3], in the world.
+      body_rotation: float32 [nbody, 4], quaternions.
+      site_position: float32 [nsite, 3].
+      constraint_force: float32 [nv], of contacts and limits on the joints.
+      readings: float32 [nsensordata], of the sensors that the model has.
+      diverged: bool scalar: the last step led to numbers that are none, or beyond all bounds, and
+        was not taken.
+    """
+
+    position: jax.Array
+    velocity: jax.Array
+    activation: jax.Array
+    warm_start: jax.Array
+    time: jax.Array
+    mocap_position: jax.Array
+    mocap_rotation: jax.Array
+    body_position: jax.Array
+    body_rotation: jax.Array
+    site_position: jax.Array
+    constraint_force: jax.Array
+    readings: jax.Array
+    diverged: jax.Array
+
+
+@dataclass(frozen=True)
+class Physics(Environment):
+    """A MuJoCo model. It is deterministic; actions are controls of its actuators.
+
+    If all actuators have one range, actions are their controls. If not, actions lie in [−1, 1], and
+    each is stretched to its actuator's range. Beyond the bounds they are clipped.
+
+    Attributes:
+      source: a path of an MJCF file, or its text. Paths are read once in a process; runs know a
+        model by its path, so what is in the file must stay the same.
+      substeps: of the simulation in a step.
+
+    Raises:
+      JaxactError: the model cannot be read or simulated, has no actuators or one without a range.
+    """
+
+    source: str = field(repr=False)
+    substeps: int = 1
+
+    def __post_init__(self) -> None:
+        check_at_least(1, "a physics world", substeps=self.substeps)
+        device_model(self.source)
+        model = self.model
+        if not model.nu:
+            raise JaxactError("the model has no actuators, so there is nothing to act with")
+        for index in np.flatnonzero(~model.actuator_ctrllimited.astype(bool)):
+            raise JaxactError(
+                f"actuator {model.actuator(int(index)).name!r} has no ctrlrange: give it one, "
+                "since actions are bounded"
+            )
+
+    @property
+    def model(self) -> Any:
+        """The `mujoco.MjModel`."""
+        return host_model(self.source)
+
+    @property
+    def dt(self) -> float:
+        """Seconds of a step."""
+        return float(self.model.opt.timestep) * self.substeps
+
+    @property
+    def action_space(self) -> Box:
+        """The controls, or numbers in [−1, 1] that are stretched to them."""
+        low, high = self._bounds
+        return Box(low, high, (self.model.nu,))
+
+    def index(self, kind: str, name: str) -> int:
+        """Returns the number of a named part.
+
+        Args:
+          kind: "body", "joint", "geom", "site", "sensor" or "actuator".
+          name: in the model.
+
+        Raises:
+          JaxactError: there is none; the message has the nearest.
+        """
+        model = self.model
+        counts = {"joint": model.njnt, "actuator": model.nu, "sensor": model.nsensor}
+        count = counts.get(kind) or getattr(model, f"n{kind}")
+        names = [getattr(model, kind)(i).name for i in range(count)]
+        if name not in names:
+            raise unknown(f"{kind} of the model", name, [n for n in names if n])
+        return names.index(name)
+
+    def start(self, position: jax.Array, velocity: jax.Array) -> PhysicsState:
+        """Returns the state with these joints, float32 [nq] and [nv], at rest otherwise."""
+        model = self._on_device()
+        with jax.numpy_dtype_promotion("standard"):
+            data = mjx().make_data(model).replace(qpos=position, qvel=velocity)
+            # Readings need forces. Where there are none, poses are enough.
+            if self.model.nsensor:
+                data = mjx().forward(model, data)
+                data = data.replace(qacc_warmstart=jnp.zeros_like(data.qacc_warmstart))
+            else:
+                data = mjx().kinematics(model, data)
+        return _state(data, jnp.bool_(False))
+
+    def step(self, key: jax.Array, state: PhysicsState, action: jax.Array) -> PhysicsState:
+        """Simulates `substeps` steps with one action float32 [nu]; `key` is not used."""
+        del key
+        model = self._on_device()
+        with jax.numpy_dtype_promotion("standard"):
+            data = mjx().make_data(model)
+            data = data.replace(
+                qpos=state.position,
+                qvel=state.velocity,
+                act=state.activation,
+                qacc_warmstart=state.warm_start,
+                time=state.time,
+                mocap_pos=state.mocap_position,
+                mocap_quat=state.mocap_rotation,
+                ctrl=self.controls(action),
+            )
+            step = mjx().step
+            if self.substeps > 1:
+                data = jax.lax.fori_loop(0, self.substeps, lambda _, x: step(model, x), data)
+            else:
+                data = step(model, data)
+        moving = jnp.concatenate([data.qpos, data.qvel, data.act])
+        # Numbers that are none are not below the bound.
+        is_sound = jnp.all(jnp.abs(moving) < _TOO_LARGE)
+        after = _state(data, ~is_sound)
+        kept = jax.tree.map(lambda new, old: jnp.where(is_sound, new, old), after, state)
+        return replace(kept, diverged=~is_sound)
+
+    def controls(self, action: jax.Array) -> jax.Array:
+        """Returns the controls, float32 [nu], that an action stands for."""
+        low, high = self._bounds
+        action = jnp.clip(jnp.asarray(action, jnp.float32), jnp.float32(low), jnp.float32(high))
+        lows, highs = jnp.asarray(self.model.actuator_ctrlrange.T, jnp.float32)
+        if low == self.model.actuator_ctrlrange[0, 0]:
+            return action
+        return lows + (action + 1.0) * (highs - lows) / 2
+
+    def _on_device(self) -> Any:
+        return jax.tree.map(jnp.asarray, device_model(self.source))
+
+    @property
+    def _bounds(self) -> tuple[float, float]:
+        ranges = self.model.actuator_ctrlrange
+        if np.all(ranges == ranges[0]):
+            return float(ranges[0, 0]), float(ranges[0, 1])
+        return -1.0, 1.0
+
+
+def _state(data: Any, diverged: jax.Array) -> PhysicsState:
+    def floats(x: Any) -> jax.Array:
+        return jnp.asarray(x, jnp.float32)
+
+    return PhysicsState(
+        position=floats(data.qpos),
+        velocity=floats(data.qvel),
+        activation=floats(data.act),
+        warm_start=floats(data.qacc_warmstart),
+        time=floats(data.time),
+        mocap_position=floats(data.mocap_pos),
+        mocap_rotation=floats(data.mocap_quat),
+        body_position=floats(data.xpos),
+        body_rotation=floats(data.xquat),
+        site_position=floats(data.site_xpos),
+        constraint_force=floats(data.qfrc_constraint),
+        readings=floats(data.sensordata),
+        diverged=diverged,
+    )
