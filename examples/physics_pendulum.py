@@ -24,7 +24,7 @@ _replay = Replay(
     capacity=50_000,
     lanes=128,
     length=2,
-    updates=8,
+    updates=32,
     start_after=2_000,
 )
 
