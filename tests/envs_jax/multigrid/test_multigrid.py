@@ -22,7 +22,7 @@ from tests.envs_jax.multigrid import rules
 from tests.envs_jax.multigrid.rules import Agent, Game
 
 SOCCER, COLLECT = "MultiGrid-Soccer4HEnv10x15N2-v0", "MultiGrid-Collect4HEnv10x10N2-v0"
-LANES, STEPS = 48, 32
+LANES, STEPS = 64, 24
 # Less turning, more of what changes hands than by chance.
 CHANCES = np.array([1, 3, 3, 8, 8, 8, 1, 1]) / 33
 # All of soccer's goals pay the same.
@@ -65,7 +65,7 @@ def scatter(generator, world):
     field = np.full((world.width, world.height), tiles.WALL_TILE, np.uint8)
     kinds = np.array([tiles.EMPTY, tiles.WALL, tiles.BALL, OBJECT_GOAL])
     inside = (world.width - 2, world.height - 2)
-    drawn = generator.choice(kinds, inside, p=[0.65, 0.1, 0.15, 0.1])
+    drawn = generator.choice(kinds, inside, p=[0.55, 0.1, 0.15, 0.2])
     # Half of what has a colour has the first: that is anybody's.
     color = generator.integers(0, 6, inside) * generator.integers(0, 2, inside)
     color = np.where(drawn == tiles.EMPTY, 0, np.where(drawn == tiles.WALL, tiles.GREY, color))
@@ -78,7 +78,8 @@ def scatter(generator, world):
     # Close to each other, so that they meet.
     middle = free[generator.integers(len(free))]
     free = free[np.argsort(np.abs(free - middle).sum(-1) + generator.random(len(free)))]
-    held = tiles.BALL | generator.integers(0, 3, world.agents) << tiles.COLOR_SHIFT
+    color = generator.integers(0, 3, world.agents) * generator.integers(0, 2, world.agents)
+    held = tiles.BALL | color << tiles.COLOR_SHIFT
     holds = (generator.random(world.agents) < 0.4) & (world.pickup == "carries")
     return MultiGridState(
         tiles=field,
@@ -208,3 +209,98 @@ def test_every_step_is_as_the_original_has_it(name):
                 np.testing.assert_allclose(result.reward, rewards)
             np.testing.assert_array_equal(result.observation["image"], views)
             assert not done
+
+
+@pytest.mark.parametrize("name", [SOCCER, pytest.param(COLLECT, marks=pytest.mark.slow)])
+def test_the_worlds_are_sound(name):
+    check_pomdp(envs_jax.make(name))
+
+
+def test_episodes_begin_anywhere_with_what_they_should_have():
+    lanes = 2000
+    pomdp = envs_jax.make(SOCCER, num_balls=(1, 2), balls_index=(0, 2), width=7, height=6,
+                          goal_pst=((1, 3), (5, 3)))  # fmt: skip
+    begin = jax.jit(jax.vmap(lambda key: pomdp.reset(key)[0]))
+    state = jax.tree.map(np.asarray, begin(jax.random.split(jax.random.key(0), lanes)))
+    world, games = state.environment, []
+    for lane in range(lanes):
+        one = jax.tree.map(lambda leaf, lane=lane: leaf[lane], world)
+        games.append(game_of(one, pomdp.environment))
+    assert all(game.goals == {(1, 3): 1, (5, 3): 2} for game in games)
+    assert all(sorted(game.balls.values()) == [0, 2, 2] for game in games)
+    assert all(len({agent.cell for agent in game.agents} - set(game.balls)) == 4 for game in games)
+    assert not world.carrying.any()
+    assert (state.horizon == 10_000).all()
+    # 18 cells are free for 3 balls and 4 agents: each has everything as often, and all directions.
+    for cells in (
+        np.argwhere(world.tiles & 15 == tiles.BALL)[:, 1:],
+        world.positions.reshape(-1, 2),
+    ):
+        found, counts = np.unique(cells, axis=0, return_counts=True)
+        assert len(found) == 18
+        expected = len(cells) / 18
+        assert abs(counts - expected).max() < 5 * expected**0.5
+    assert abs(np.bincount(world.directions.reshape(-1)) / (4 * lanes) - 0.25).max() < 0.03
+
+
+def test_the_full_grid_is_the_same_but_for_who_one_is():
+    name = "soccer"
+    pomdp, starts, *_ = played(name)
+    world = pomdp.environment
+    full = envs_jax.make(SOCCER, observation="full").sensors["image"]
+    for start in starts[:8]:
+        game = game_of(start, world)
+        image = np.asarray(full.observe(jax.tree.map(jnp.asarray, start), None))
+        for x in range(world.width):
+            for y in range(world.height):
+                for a, agent in enumerate(game.agents):
+                    is_wall = (x, y) in game.walls
+                    expected = (2, 5, 0, 0, 0, 0) if is_wall else game.encoded((x, y), agent)
+                    assert image[a, x, y].tolist() == list(expected)
+
+
+def test_an_episode_may_end_with_the_last_ball():
+    pomdp = envs_jax.make(SOCCER, ends=True)
+    state, _ = pomdp.reset(jax.random.key(0))
+    world = dataclasses.replace(
+        state.environment,
+        tiles=jnp.where(state.environment.tiles == tiles.BALL, 1, state.environment.tiles),
+        positions=jnp.int32([[2, 5], [8, 8], [9, 8], [10, 8]]),
+        directions=jnp.int32([2, 0, 0, 0]),
+        carrying=jnp.uint8([tiles.BALL, 0, 0, 0]),
+    )
+    state = dataclasses.replace(state, environment=world)
+    step = jax.jit(pomdp.step)
+    state, result = step(jax.random.key(1), state, jnp.int32([0, 0, 0, 0]))
+    assert not result.terminated
+    picture = np.asarray(jax.jit(pomdp.pictures)(state)["image"])
+    assert picture.shape == (120, 180, 3)
+    assert (picture[5 * 12 + 6, 2 * 12 + 6] == [255, 0, 0]).all()  # The ball on the agent.
+    assert (picture[5 * 12 + 6, 1 * 12 + 6] == [0, 255, 0]).all()  # The green goal.
+    state, result = step(jax.random.key(1), state, jnp.int32([rules.DROP, 0, 0, 0]))
+    assert result.terminated
+    assert result.success
+    np.testing.assert_allclose(result.reward, [1, 1, -1, -1])
+    assert result.metrics["scored_green"] == 1
+    assert result.metrics["scored_blue"] == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        (SOCCER, {"moves": "in_turns"}, "unknown moves 'in_turns'; the nearest is 'in_turn'"),
+        (SOCCER, {"agents_index": (1, 6)}, "agents_index must be from 0 to 5; got 6"),
+        (SOCCER, {"agents_index": ()}, "there must be 1 to 16 agents, not 0"),
+        (SOCCER, {"goal_pst": ((0, 5), (13, 5))}, r"inside the walls of 15×10; got \(0, 5\)"),
+        (SOCCER, {"goal_index": (1,)}, "as long as each other; they are of 2 and 1"),
+        (SOCCER, {"view_size": 4}, "view_size must be odd"),
+        (SOCCER, {"observation": "rgb"}, "unknown observation 'rgb'"),
+        (COLLECT, {"num_balls": (62,)}, "has room for 64 balls and agents, and there would be 65"),
+        (COLLECT, {"credit": "colour"}, "unknown credit 'colour'; the nearest is 'color'"),
+        (COLLECT, {"balls_reward": (1.0, 2.0)}, "one reward for each of balls_index"),
+        (COLLECT, {"width": 2}, "at least 3×3 cells, not 2×10"),
+    ],
+)
+def test_what_cannot_be_is_refused(name, options, message):
+    with pytest.raises(JaxactError, match=message):
+        envs_jax.make(name, **options)
