@@ -23,7 +23,9 @@ class Arguments(env_throughput.Arguments):
 
     known_peers: ClassVar[tuple[str, ...]] = tuple(PEERS_OF_AGENTS)
 
-    ids: tuple[str, ...] = tuple(name for name in envs_jax.ids() if name.startswith("Markov-"))
+    ids: tuple[str, ...] = tuple(
+        name for name in envs_jax.ids() if name.startswith(("Markov-", "MultiGrid-", "Furn"))
+    )
     """Worlds, by their ids."""
     peers: tuple[str, ...] = tuple(PEERS_OF_AGENTS)
     """Systems to measure beside jaxact: jaxmarl-coin, jaxmarl-storm, jaxmarl-overcooked."""

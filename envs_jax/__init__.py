@@ -4,6 +4,7 @@ from envs_jax import furniture as furniture
 from envs_jax import houses as houses
 from envs_jax import lighthouse as lighthouse
 from envs_jax import minigrid as minigrid
+from envs_jax import multigrid as multigrid
 from envs_jax import physics as physics
 from envs_jax import poisoned_doors as poisoned_doors
 from envs_jax import social as social
@@ -18,6 +19,7 @@ __all__ = [
     "lighthouse",
     "make",
     "minigrid",
+    "multigrid",
     "physics",
     "poisoned_doors",
     "register",

@@ -28,7 +28,7 @@ _HIGHLIGHT = 0.30
 _LINE = 0.031
 _BLACK, _AGENT_RED, _LINE_GREY, _LAVA_ORANGE = (0, 0, 0), (255, 0, 0), (100,) * 3, (255, 128, 0)
 # Indexed by MiniGrid's colour numbers: red, green, blue, purple, yellow, grey.
-_COLORS = np.array(
+COLORS = np.array(
     [(255, 0, 0), (0, 255, 0), (0, 0, 255), (112, 39, 195), (255, 255, 0), (100, 100, 100)]
 )
 
@@ -45,12 +45,12 @@ def atlas(tile_size: int) -> Image:
       ((type · NUM_COLORS + colour) · NUM_AGENTS + agent) · 2 + highlighted, where agent is 0 for
       nobody and direction + 1 else. Not to be written to.
     """
-    canvas = _Canvas(tile_size * _SUBDIVISIONS)
+    canvas = Canvas(tile_size * _SUBDIVISIONS)
     agents = [canvas.agent(direction) for direction in range(4)]
     pictures = []
     for kind in range(tiles.NUM_TYPES):
         for color in range(tiles.NUM_COLORS):
-            tile = _draw(canvas, kind, _COLORS[color])
+            tile = _draw(canvas, kind, COLORS[color])
             for agent in (None, *agents):
                 image = tile.copy()
                 if agent is not None:
@@ -61,7 +61,7 @@ def atlas(tile_size: int) -> Image:
     return result
 
 
-class _Canvas:
+class Canvas:
     """Masks bool[size, size] of the pixels whose centres lie in a shape."""
 
     def __init__(self, size: int) -> None:
@@ -69,9 +69,11 @@ class _Canvas:
         self.x, self.y = np.meshgrid(centers, centers)
 
     def rectangle(self, left: float, right: float, top: float, bottom: float) -> Mask:
+        """An upright rectangle, its edges included."""
         return (self.x >= left) & (self.x <= right) & (self.y >= top) & (self.y <= bottom)
 
     def circle(self, x: float, y: float, radius: float) -> Mask:
+        """A disk, its edge included."""
         dx, dy = self.x - x, self.y - y
         return dx * dx + dy * dy <= radius * radius
 
@@ -107,7 +109,7 @@ class _Canvas:
         return (u >= 0) & (v >= 0) & (u + v < 1)
 
 
-def _draw(canvas: _Canvas, kind: int, color: np.ndarray) -> Image:
+def _draw(canvas: Canvas, kind: int, color: np.ndarray) -> Image:
     """Draws one tile at full resolution: the grid's lines, and what stands on it."""
     image = np.zeros((*canvas.x.shape, 3), np.uint8)
     image[canvas.rectangle(0, _LINE, 0, 1) | canvas.rectangle(0, 1, 0, _LINE)] = _LINE_GREY
@@ -116,7 +118,7 @@ def _draw(canvas: _Canvas, kind: int, color: np.ndarray) -> Image:
     return image
 
 
-def _shapes(canvas: _Canvas, kind: int, color: np.ndarray) -> list[tuple[Mask, object]]:
+def _shapes(canvas: Canvas, kind: int, color: np.ndarray) -> list[tuple[Mask, object]]:
     """Returns the shapes of a tile and their paint, in the order they are painted over another."""
     rectangle, circle = canvas.rectangle, canvas.circle
     if kind in (tiles.WALL, tiles.GOAL):
@@ -144,7 +146,7 @@ def _shapes(canvas: _Canvas, kind: int, color: np.ndarray) -> list[tuple[Mask, o
     return _door(canvas, kind, color)
 
 
-def _door(canvas: _Canvas, kind: int, color: np.ndarray) -> list[tuple[Mask, object]]:
+def _door(canvas: Canvas, kind: int, color: np.ndarray) -> list[tuple[Mask, object]]:
     """Returns the shapes of a door, none for tiles that are no door."""
     rectangle = canvas.rectangle
     if kind in (tiles.OPEN_DOOR, tiles.OPEN_LOCKED_DOOR):
@@ -169,7 +171,7 @@ def _door(canvas: _Canvas, kind: int, color: np.ndarray) -> list[tuple[Mask, obj
     return []
 
 
-def _waves(canvas: _Canvas) -> Mask:
+def _waves(canvas: Canvas) -> Mask:
     """Three zigzag lines, each of four strokes."""
     mask = np.zeros(canvas.x.shape, bool)
     for wave in range(3):

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from envs_jax.minigrid import missions, tiles
-from envs_jax.minigrid.environment import heading, is_kind
+from envs_jax.minigrid import missions, sight, tiles
+from envs_jax.minigrid.environment import heading
 from envs_jax.minigrid.state import PADDING, GridState
 from jaxact.errors import JaxactError
 from jaxact.pomdp import PyTree, Sensor
@@ -95,26 +95,12 @@ class PackedImageSensor(GridSensor):
         """Returns the view."""
         del task_state
         size = self.view_size
+        around = max(PADDING, size - 1)
+        plane = jnp.pad(state.tiles, around - PADDING, constant_values=tiles.WALL_TILE)
+        ahead = sight.rows_ahead(plane, state.position + around, state.direction, size)
         hand = jnp.where(state.carrying == 0, jnp.uint8(tiles.EMPTY_TILE), state.carrying)
-        ahead = self._rows_ahead(state)
-        if self.see_through_walls:
-            return ahead.at[size - 1, size // 2].set(hand).T
-        bits = 1 << jnp.arange(size, dtype=jnp.int32)
-
-        def look(lit: jax.Array, row: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            cells, vy = row
-            clear = jnp.sum(jnp.where(is_kind(cells, _OPAQUE), 0, bits), dtype=jnp.int32)
-            lit_beyond = _spread(lit, clear, size)
-            seen = (lit | lit_beyond) & bits != 0
-            own = (vy == size - 1) & (bits == 1 << size // 2)
-            shown = jnp.where(own, hand, cells)
-            return lit_beyond, jnp.where(seen, shown, jnp.uint8(tiles.UNSEEN))
-
-        # The rows are walked by a scan, away from the agent: written out as elementwise code, XLA's
-        # CPU backend would compute the near rows again for every cell of the far ones.
-        start = jnp.int32(1 << size // 2)
-        rows = (ahead, jnp.arange(size, dtype=jnp.int32))
-        return jax.lax.scan(look, start, rows, reverse=True)[1].T
+        ahead = ahead.at[size - 1, size // 2].set(hand)
+        return (ahead if self.see_through_walls else sight.in_sight(ahead, _OPAQUE)).T
 
     def visible(self, state: GridState) -> jax.Array:
         """Returns which cells of the grid are in sight, bool[W, H], indexed [x, y]."""
@@ -124,20 +110,6 @@ class PackedImageSensor(GridSensor):
         framed = jnp.pad(jnp.zeros(plane.shape, bool), around)
         framed = framed.at[_looked_at(state, self.view_size)].set(lit)
         return framed[around:-around, around:-around]
-
-    def _rows_ahead(self, state: GridState) -> jax.Array:
-        """Returns the cells in view, light or dark, as uint8[vy, vx].
-
-        A square is cut out of the plane in one piece and turned: a look-up cell by cell would cost
-        several times as much.
-        """
-        size = self.view_size
-        around = max(PADDING, size - 1)
-        plane = jnp.pad(state.tiles, around - PADDING, constant_values=tiles.WALL_TILE)
-        corner = state.position + (heading(state.direction) - 1) * (size // 2)
-        square = jax.lax.dynamic_slice(plane, corner + around, (size, size))
-        turned = (square[::-1], square[::-1, ::-1].T, square[:, ::-1], square.T)
-        return jax.lax.select_n(state.direction, *turned)
 
 
 @dataclass(frozen=True)
@@ -208,27 +180,3 @@ def _looked_at(state: GridState, view_size: int) -> tuple[jax.Array, jax.Array]:
         for axis in range(2)
     )
     return x, y
-
-
-def _spread(lit: jax.Array, clear: jax.Array, size: int) -> jax.Array:
-    """Returns how light goes on from one row of the view, as bits (bit vx) of an int32.
-
-    Light spreads sideways from the lit cells through runs of clear ones. Each cell that it leaves
-    shows itself and both its neighbours, in this row and in the next one beyond.
-
-    Args:
-      lit: which cells of the row light has reached from the row before.
-      clear: which cells of the row can be seen through.
-      size: the row's length.
-    """
-    left = right = lit & clear
-    left_run = right_run = clear
-    distance = 1
-    while distance < size:  # Each round doubles how far light has gone along a run.
-        left |= left_run & (left << distance)
-        right |= right_run & (right >> distance)
-        left_run &= left_run << distance
-        right_run &= right_run >> distance
-        distance *= 2
-    flood = left | right
-    return (flood | flood << 1 | flood >> 1) & ((1 << size) - 1)

@@ -57,8 +57,12 @@ def test_what_is_not_there_is_unsupported(monkeypatch):
         build(job("jaxmarl-coin", "MiniGrid-Empty-5x5-v0"))
 
 
-def test_all_social_worlds_are_measured_and_other_peers_refused(monkeypatch, capsys):
-    worlds = ("Markov-Escalation-v0", "Markov-Harvest-v0", "Markov-StagHunt-v0")
+def test_all_worlds_of_several_agents_are_measured_and_other_peers_refused(monkeypatch, capsys):
+    worlds = (
+        *("FurnLift-v0", "FurnMove-v0"),
+        *("Markov-Escalation-v0", "Markov-Harvest-v0", "Markov-StagHunt-v0"),
+        *("MultiGrid-Collect4HEnv10x10N2-v0", "MultiGrid-Soccer4HEnv10x15N2-v0"),
+    )
     assert sorted(Arguments().ids) == sorted(worlds)
     monkeypatch.setattr(sys, "argv", ["multiagent_throughput", "--peers", "navix"])
     with pytest.raises(SystemExit):

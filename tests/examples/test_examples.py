@@ -75,10 +75,8 @@ def test_stag_hunt_beside_past_selves_can_work():
     stag_hunt.experiments["g1_past_selves"].check()
 
 
-@pytest.mark.parametrize(
-    "policy",
-    ["sync", *(pytest.param(x, marks=pytest.mark.slow) for x in ("marginal", "central"))],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("policy", ["sync", "marginal", "central"])
 def test_furnmoves_experiments_train(policy):
     experiment = shrunk(furnmove.experiments[policy])
     result = train(experiment, evaluate_every=0, evaluation_episodes=0, progress=False)

@@ -19,7 +19,14 @@ def test_pettingzoo_finds_no_fault_with_a_world_of_ones_own():
 
 
 @pytest.mark.parametrize(
-    "name", ["Markov-StagHunt-v0", "Markov-Harvest-v0", "Markov-Escalation-v0"]
+    "name",
+    [
+        "Markov-StagHunt-v0",
+        "Markov-Harvest-v0",
+        "Markov-Escalation-v0",
+        "MultiGrid-Soccer4HEnv10x15N2-v0",
+        "MultiGrid-Collect4HEnv10x10N2-v0",
+    ],
 )
 def test_pettingzoo_finds_no_fault(name):
     env = to_pettingzoo(envs_jax.make(name, horizon=20), render_mode="rgb_array", name=name)
