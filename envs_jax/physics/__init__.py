@@ -12,6 +12,8 @@ from envs_jax.physics.environment import PhysicsState as PhysicsState
 from envs_jax.physics.environment import Variation as Variation
 from envs_jax.physics.locomotion import NoisyStart as NoisyStart
 from envs_jax.physics.locomotion import RunForward as RunForward
+from envs_jax.physics.randomization import Randomized as Randomized
+from envs_jax.physics.reach import Reach as Reach
 from envs_jax.physics.sensors import BodySensor as BodySensor
 from envs_jax.physics.sensors import JointSensor as JointSensor
 from envs_jax.physics.sensors import ModelSensor as ModelSensor
@@ -24,6 +26,8 @@ __all__ = [
     "NoisyStart",
     "Physics",
     "PhysicsState",
+    "Randomized",
+    "Reach",
     "RunForward",
     "Variation",
     "gymnasium_body",

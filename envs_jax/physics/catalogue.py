@@ -22,6 +22,7 @@ from envs_jax.physics.navigation import (
     PointNav,
     SpeedSensor,
 )
+from envs_jax.physics.reach import AnyPose, Reach, TargetSensor, arm
 from envs_jax.physics.reacher import ReacherSensor, ReacherStart, Touch
 from envs_jax.physics.rover import DRIVES, rover
 from envs_jax.physics.sensors import JointSensor
@@ -148,6 +149,18 @@ def point_nav(*, control: str = "moves", horizon: int | None = None) -> POMDP:
     return POMDP(world, task, ClutteredArena(world, task, horizon=horizon), sensors)
 
 
+def reach(*, horizon: int = 100) -> POMDP:
+    """Builds Reach for an arm of three joints, moved by torques.
+
+    Args:
+      horizon: steps of 40 ms.
+    """
+    world = arm()
+    task = Reach(world)
+    sensors: dict[str, Sensor] = {"joints": JointSensor(world), "target": TargetSensor(task)}
+    return POMDP(world, task, AnyPose(world, task, horizon), sensors)
+
+
 def _register(name: str) -> None:
     def build(*, horizon: int | None = None) -> POMDP:
         return gymnasium_body(name, horizon=horizon)
@@ -158,3 +171,4 @@ def _register(name: str) -> None:
 for _name in BODIES:
     _register(_name)
 register("Physics-PointNav-v0", point_nav)
+register("Physics-Reach-v0", reach)
