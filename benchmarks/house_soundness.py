@@ -24,6 +24,7 @@ import tyro
 import envs_jax
 from benchmarks.env_lines import Line, print_lines
 from envs_jax.houses import categories, validity
+from envs_jax.houses.catalogue import PLATFORMS
 from envs_jax.houses.collision import clearance, obstacles
 from envs_jax.houses.generator import APARTMENT, FLOOR, ROOM, SPLITS, Style, generate, scene_key
 from envs_jax.houses.object_nav import ObjectNav
@@ -35,7 +36,7 @@ from jaxact.errors import JaxactError, unknown
 PROGRAM = "benchmarks.house_soundness"
 KINDS = {f"room-{name}": replace(ROOM, kind=name) for name in categories.ROOMS[1:]}
 STYLES: dict[str, Style] = {**KINDS, "apartment": APARTMENT, "floor": FLOOR}
-IDS = tuple(name for name in envs_jax.ids() if name.endswith(("PointNav-v0", "ObjectNav-v0")))
+IDS = tuple(name for name in envs_jax.ids() if name.split("-")[0] in PLATFORMS)
 # As wide and tall as any platform's body, with the lowest camera and the shortest sight.
 WIDEST = Body(radius=0.2, height=1.8, camera_height=0.87)
 WITHIN = 1.0

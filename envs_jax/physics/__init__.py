@@ -1,25 +1,34 @@
 """Bodies that move by physics: any MuJoCo model, stepped by MJX.
 
-`Physics` is the environment; tasks, starts and sensors are for any model, and the ids are those of
-Gymnasium's MuJoCo environments, with its observations and rewards.
+`Physics` is the environment; its starts and sensors are for any model. There are ids of Gymnasium's
+MuJoCo environments, with its observations and rewards, and of robots of our own: a rover that
+drives to points among boxes, by moves or by velocities, and an arm that reaches for targets.
 """
 
 from envs_jax.physics.catalogue import gymnasium_body as gymnasium_body
+from envs_jax.physics.environment import Controller as Controller
 from envs_jax.physics.environment import Physics as Physics
 from envs_jax.physics.environment import PhysicsState as PhysicsState
+from envs_jax.physics.environment import Variation as Variation
 from envs_jax.physics.locomotion import NoisyStart as NoisyStart
 from envs_jax.physics.locomotion import RunForward as RunForward
+from envs_jax.physics.randomization import Randomized as Randomized
+from envs_jax.physics.reach import Reach as Reach
 from envs_jax.physics.sensors import BodySensor as BodySensor
 from envs_jax.physics.sensors import JointSensor as JointSensor
 from envs_jax.physics.sensors import ModelSensor as ModelSensor
 
 __all__ = [
     "BodySensor",
+    "Controller",
     "JointSensor",
     "ModelSensor",
     "NoisyStart",
     "Physics",
     "PhysicsState",
+    "Randomized",
+    "Reach",
     "RunForward",
+    "Variation",
     "gymnasium_body",
 ]

@@ -1,4 +1,4 @@
-"""How Gymnasium's MuJoCo environments are put together, and their ids."""
+"""How physics worlds are put together: Gymnasium's, the rover's and the arm's, and their ids."""
 
 from __future__ import annotations
 
@@ -15,9 +15,19 @@ from envs_jax.physics.locomotion import (
     RunForward,
 )
 from envs_jax.physics.models import gymnasium_asset
+from envs_jax.physics.navigation import (
+    ClutteredArena,
+    GoalSensor,
+    LidarSensor,
+    PointNav,
+    SpeedSensor,
+)
+from envs_jax.physics.reach import AnyPose, Reach, TargetSensor, arm
 from envs_jax.physics.reacher import ReacherSensor, ReacherStart, Touch
+from envs_jax.physics.rover import DRIVES, rover
 from envs_jax.physics.sensors import JointSensor
 from envs_jax.registry import register
+from jaxact.errors import unknown
 from jaxact.pomdp import POMDP, Sensor, Task, TaskSampler
 
 
@@ -115,6 +125,42 @@ def gymnasium_body(name: str, *, horizon: int | None = None) -> POMDP:
     return POMDP(world, body.task(world), start, {"joints": body.sensor(world)})
 
 
+def point_nav(*, control: str = "moves", horizon: int | None = None) -> POMDP:
+    """Builds PointNav for a rover with two driven wheels among boxes.
+
+    Args:
+      control: "moves" of 0.25 m and turns of 30°, or "velocities", two numbers.
+      horizon: steps; by default 100 moves, or 300 steps of 0.2 s.
+
+    Raises:
+      JaxactError: there is no such control.
+    """
+    if control not in DRIVES:
+        raise unknown("control of the rover", control, DRIVES)
+    drive = DRIVES[control]
+    world, task = rover(drive), PointNav(drive)
+    if horizon is None:
+        horizon = 100 if control == "moves" else 300
+    sensors: dict[str, Sensor] = {
+        "goal": GoalSensor(),
+        "lidar": LidarSensor(),
+        "speed": SpeedSensor(),
+    }
+    return POMDP(world, task, ClutteredArena(world, task, horizon=horizon), sensors)
+
+
+def reach(*, horizon: int = 100) -> POMDP:
+    """Builds Reach for an arm of three joints, moved by torques.
+
+    Args:
+      horizon: steps of 40 ms.
+    """
+    world = arm()
+    task = Reach(world)
+    sensors: dict[str, Sensor] = {"joints": JointSensor(world), "target": TargetSensor(task)}
+    return POMDP(world, task, AnyPose(world, task, horizon), sensors)
+
+
 def _register(name: str) -> None:
     def build(*, horizon: int | None = None) -> POMDP:
         return gymnasium_body(name, horizon=horizon)
@@ -124,3 +170,5 @@ def _register(name: str) -> None:
 
 for _name in BODIES:
     _register(_name)
+register("Physics-PointNav-v0", point_nav)
+register("Physics-Reach-v0", reach)

@@ -7,6 +7,7 @@ carrying it, so that a lane is small.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,11 +17,27 @@ import numpy as np
 
 from envs_jax.physics.models import device_model, host_model, mjx
 from jaxact.errors import JaxactError, check_at_least, unknown
-from jaxact.pomdp import Environment
-from jaxact.spaces import Box
+from jaxact.pomdp import Environment, PyTree
+from jaxact.spaces import Box, Space
 
 # What MuJoCo takes for a simulation that has come apart (mjMAXVAL).
 _TOO_LARGE = 1e10
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Variation:
+    """By what an episode's model differs from the one that was read: factors, 1 for no difference.
+
+    Attributes:
+      mass: float32 [nbody], of the bodies' masses and moments of inertia.
+      friction: float32 [ngeom], of the geoms' coefficients of friction.
+      gain: float32 [nu], of what the actuators answer to their controls and to motion.
+    """
+
+    mass: jax.Array
+    friction: jax.Array
+    gain: jax.Array
 
 
 @jax.tree_util.register_dataclass
@@ -46,6 +63,7 @@ class PhysicsState:
       readings: float32 [nsensordata], of the sensors that the model has.
       diverged: bool scalar: the last step led to numbers that are none, or beyond all bounds, and
         was not taken.
+      variation: of the episode's model; None for the model as it was read.
     """
 
     position: jax.Array
@@ -61,11 +79,46 @@ class PhysicsState:
     constraint_force: jax.Array
     readings: jax.Array
     diverged: jax.Array
+    variation: Variation | None = None
+
+
+class Controller(ABC):
+    """What turns actions into controls, anew in each substep of the simulation."""
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of discrete actions; by default there are none."""
+        return ()
+
+    @property
+    @abstractmethod
+    def action_space(self) -> Space:
+        """The actions it takes."""
+
+    @abstractmethod
+    def controls(
+        self,
+        world: Physics,
+        action: PyTree,
+        before: PhysicsState,
+        position: jax.Array,
+        velocity: jax.Array,
+    ) -> jax.Array:
+        """Returns the controls float32 [nu] of one substep.
+
+        Args:
+          world: whose actuators they are for.
+          action: that the step was taken with.
+          before: how the simulation stood when the step began.
+          position: float32 [nq], of the joints now.
+          velocity: float32 [nv], likewise.
+        """
 
 
 @dataclass(frozen=True)
 class Physics(Environment):
-    """A MuJoCo model. It is deterministic; actions are controls of its actuators.
+    """A MuJoCo model. It is deterministic; actions are controls of its actuators, or what a
+    controller makes controls of.
 
     If all actuators have one range, actions are their controls. If not, actions lie in [−1, 1], and
     each is stretched to its actuator's range. Beyond the bounds they are clipped.
@@ -74,6 +127,7 @@ class Physics(Environment):
       source: a path of an MJCF file, or its text. Paths are read once in a process; runs know a
         model by its path, so what is in the file must stay the same.
       substeps: of the simulation in a step.
+      controller: what takes the actions; None for the actuators themselves.
 
     Raises:
       JaxactError: the model cannot be read or simulated, has no actuators or one without a range.
@@ -81,6 +135,7 @@ class Physics(Environment):
 
     source: str = field(repr=False)
     substeps: int = 1
+    controller: Controller | None = None
 
     def __post_init__(self) -> None:
         check_at_least(1, "a physics world", substeps=self.substeps)
@@ -105,8 +160,15 @@ class Physics(Environment):
         return float(self.model.opt.timestep) * self.substeps
 
     @property
-    def action_space(self) -> Box:
-        """The controls, or numbers in [−1, 1] that are stretched to them."""
+    def action_names(self) -> tuple[str, ...]:
+        """The controller's, if it has any."""
+        return self.controller.action_names if self.controller else ()
+
+    @property
+    def action_space(self) -> Space:
+        """The controller's actions; controls, or numbers in [−1, 1] to be stretched to them."""
+        if self.controller:
+            return self.controller.action_space
         low, high = self._bounds
         return Box(low, high, (self.model.nu,))
 
@@ -128,23 +190,51 @@ class Physics(Environment):
             raise unknown(f"{kind} of the model", name, [n for n in names if n])
         return names.index(name)
 
-    def start(self, position: jax.Array, velocity: jax.Array) -> PhysicsState:
-        """Returns the state with these joints, float32 [nq] and [nv], at rest otherwise."""
-        model = self._on_device()
+    def start(
+        self,
+        position: jax.Array,
+        velocity: jax.Array,
+        *,
+        mocap_position: jax.Array | None = None,
+        mocap_rotation: jax.Array | None = None,
+        variation: Variation | None = None,
+    ) -> PhysicsState:
+        """Returns the state in which a simulation begins, at rest but for what is said.
+
+        Args:
+          position: float32 [nq], of the joints.
+          velocity: float32 [nv].
+          mocap_position: float32 [nmocap, 3]; where the model has them, if None.
+          mocap_rotation: float32 [nmocap, 4], quaternions; likewise.
+          variation: by what the model differs in this episode.
+        """
+        model = self._on_device(variation)
         with jax.numpy_dtype_promotion("standard"):
             data = mjx().make_data(model).replace(qpos=position, qvel=velocity)
+            if mocap_position is not None:
+                data = data.replace(mocap_pos=mocap_position)
+            if mocap_rotation is not None:
+                data = data.replace(mocap_quat=mocap_rotation)
             # Readings need forces. Where there are none, poses are enough.
             if self.model.nsensor:
                 data = mjx().forward(model, data)
                 data = data.replace(qacc_warmstart=jnp.zeros_like(data.qacc_warmstart))
             else:
                 data = mjx().kinematics(model, data)
-        return _state(data, jnp.bool_(False))
+        return _state(data, jnp.bool_(False), variation)
 
-    def step(self, key: jax.Array, state: PhysicsState, action: jax.Array) -> PhysicsState:
-        """Simulates `substeps` steps with one action float32 [nu]; `key` is not used."""
+    def step(self, key: jax.Array, state: PhysicsState, action: PyTree) -> PhysicsState:
+        """Simulates `substeps` steps with one action; `key` is not used."""
         del key
-        model = self._on_device()
+        model = self._on_device(state.variation)
+
+        def advance(_: Any, data: Any) -> Any:
+            if self.controller:
+                data = data.replace(
+                    ctrl=self.controller.controls(self, action, state, data.qpos, data.qvel)
+                )
+            return mjx().step(model, data)
+
         with jax.numpy_dtype_promotion("standard"):
             data = mjx().make_data(model)
             data = data.replace(
@@ -155,22 +245,22 @@ class Physics(Environment):
                 time=state.time,
                 mocap_pos=state.mocap_position,
                 mocap_quat=state.mocap_rotation,
-                ctrl=self.controls(action),
             )
-            step = mjx().step
+            if not self.controller:
+                data = data.replace(ctrl=self.controls(action))
             if self.substeps > 1:
-                data = jax.lax.fori_loop(0, self.substeps, lambda _, x: step(model, x), data)
+                data = jax.lax.fori_loop(0, self.substeps, advance, data)
             else:
-                data = step(model, data)
+                data = advance(0, data)
         moving = jnp.concatenate([data.qpos, data.qvel, data.act])
         # Numbers that are none are not below the bound.
         is_sound = jnp.all(jnp.abs(moving) < _TOO_LARGE)
-        after = _state(data, ~is_sound)
+        after = _state(data, ~is_sound, state.variation)
         kept = jax.tree.map(lambda new, old: jnp.where(is_sound, new, old), after, state)
         return replace(kept, diverged=~is_sound)
 
     def controls(self, action: jax.Array) -> jax.Array:
-        """Returns the controls, float32 [nu], that an action stands for."""
+        """Returns the controls, float32 [nu], that an action of the actuators' own stands for."""
         low, high = self._bounds
         action = jnp.clip(jnp.asarray(action, jnp.float32), jnp.float32(low), jnp.float32(high))
         lows, highs = jnp.asarray(self.model.actuator_ctrlrange.T, jnp.float32)
@@ -178,8 +268,19 @@ class Physics(Environment):
             return action
         return lows + (action + 1.0) * (highs - lows) / 2
 
-    def _on_device(self) -> Any:
-        return jax.tree.map(jnp.asarray, device_model(self.source))
+    def _on_device(self, variation: Variation | None) -> Any:
+        model = jax.tree.map(jnp.asarray, device_model(self.source))
+        if variation is None:
+            return model
+        gains = variation.gain[:, None]
+        return model.replace(
+            body_mass=model.body_mass * variation.mass,
+            body_inertia=model.body_inertia * variation.mass[:, None],
+            body_subtreemass=_subtree_sum(self.model, model.body_mass * variation.mass),
+            geom_friction=model.geom_friction * variation.friction[:, None],
+            actuator_gainprm=model.actuator_gainprm * gains,
+            actuator_biasprm=model.actuator_biasprm * gains,
+        )
 
     @property
     def _bounds(self) -> tuple[float, float]:
@@ -189,7 +290,20 @@ class Physics(Environment):
         return -1.0, 1.0
 
 
-def _state(data: Any, diverged: jax.Array) -> PhysicsState:
+def _subtree_sum(model: Any, values: jax.Array) -> jax.Array:
+    """Returns the sum of a number [nbody] over each body and all that hang on it."""
+    hangs = np.zeros((model.nbody, model.nbody), np.float32)
+    for body in range(model.nbody):
+        parent = body
+        while True:
+            hangs[parent, body] = 1
+            if parent == 0:
+                break
+            parent = int(model.body_parentid[parent])
+    return jnp.asarray(hangs) @ values
+
+
+def _state(data: Any, diverged: jax.Array, variation: Variation | None) -> PhysicsState:
     def floats(x: Any) -> jax.Array:
         return jnp.asarray(x, jnp.float32)
 
@@ -207,4 +321,5 @@ def _state(data: Any, diverged: jax.Array) -> PhysicsState:
         constraint_force=floats(data.qfrc_constraint),
         readings=floats(data.sensordata),
         diverged=diverged,
+        variation=variation,
     )

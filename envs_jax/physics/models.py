@@ -9,6 +9,7 @@ import contextlib
 import functools
 import importlib.util
 import io
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -48,12 +49,17 @@ def host_model(source: str) -> Any:
             f"there is no file {source!r}: a physics world needs an MJCF file's path, or its text"
         )
     read = mujoco.MjModel.from_xml_string if is_text else mujoco.MjModel.from_xml_path
+    # Its own way of warning is to write a file into the working directory.
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(logging.getLogger("mujoco").warning)
     try:
         return read(source)
     except ValueError as error:
         reason = " ".join(str(error).split())
         name = "this MJCF" if is_text else f"{source!r}"
         raise JaxactError(f"MuJoCo cannot read {name}: {reason}") from error
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 @functools.cache

@@ -8,11 +8,11 @@ import pytest
 
 import envs_jax
 from envs_jax.houses import navigation
-from envs_jax.houses.catalogue import OBSERVATIONS
+from envs_jax.houses.catalogue import OBSERVATIONS, PLATFORMS
 from jaxact.errors import JaxactError
 from jaxact.overrides import numbers
 
-IDS = [name for name in envs_jax.ids() if name.endswith(("PointNav-v0", "ObjectNav-v0"))]
+IDS = [name for name in envs_jax.ids() if name.split("-")[0] in PLATFORMS]
 
 
 def test_every_platform_has_both_tasks():
