@@ -9,9 +9,8 @@ from jaxact.losses import PPO
 from jaxact.models import ActorCritic, Concatenated, NoMemory, Vector
 from jaxact.schedules import Linear
 
-LANES = 16
+LANES = 32
 STEPS = 100_000
-CLIP = Linear(0.2, 0.0, float(STEPS))
 
 pomdp = from_gymnasium("CartPole-v1", simulators=LANES)
 
@@ -22,13 +21,13 @@ experiment = Experiment(
         pomdp.action_space, Concatenated({"observation": Vector((64, 64))}), NoMemory()
     ),
     pipeline=TrainingPipeline(
-        stages=(Stage(losses={"ppo": PPO(clip=CLIP, clip_value=False)}, steps=STEPS),),
+        # The value of a whole episode is then about 1.
+        stages=(Stage(losses={"ppo": PPO(clip=0.2)}, steps=STEPS, rewards={"reward": 0.02}),),
         lanes=LANES,
         rollout_length=32,
         epochs=8,
-        minibatches=2,
+        minibatches=4,
         discount=0.98,
-        gae_lambda=0.8,
         learning_rate=Linear(1e-3, 0.0, float(STEPS)),
     ),
 )

@@ -67,8 +67,8 @@ def from_gymnasium(
       horizon: steps after which episodes are truncated; None to leave that to the environment.
       success_return: the return from which on an episode is a success, where `info` has neither
         "is_success" nor "success"; None for the threshold that is registered with the id, if any.
-      metrics: names of scalars in `info` to be reported as metrics of the task; absent ones are
-        NaN. Those at an episode's end count.
+      metrics: names of scalars in `info` to be reported as metrics of the task. Those at an
+        episode's end count and have to be there; between, what is absent is as it was, at first 0.
       task: judges in place of the environment's own reward and ends; see `SimulatedState`.
       action_names: of discrete actions.
       **options: with an id, of `gymnasium.make`.
@@ -131,10 +131,12 @@ class GymnasiumSimulator:
             if had != has:
                 raise JaxactError(f"all simulators' {name} are {had}, but this one's are {has}")
         self._structure = jax.tree.structure(self.actions.structure)
+        self._known = dict.fromkeys(self.metrics, 0.0)
 
     def reset(self, seed: int) -> Reading:
         """Begins the episode of a seed."""
         observation, info = self.environment.reset(seed=seed)
+        self._known = dict.fromkeys(self.metrics, 0.0)
         return self._reading(observation, 0.0, False, False, info)
 
     def step(self, action: tuple[np.ndarray, ...]) -> Reading:
@@ -156,8 +158,13 @@ class GymnasiumSimulator:
     ) -> Reading:
         said = [bool(info[name]) for name in SUCCESS_NAMES if name in info]
         success = float(said[0]) if said else -1.0
-        named = [info.get(name, np.nan) for name in self.metrics]
-        numbers = np.asarray([reward, terminated, truncated, success, *named], np.float32)
+        for name in self.metrics:
+            if name in info:
+                self._known[name] = float(info[name])
+            elif terminated or truncated:
+                raise unknown("metric in `info` at the episode's end", name, info)
+        flags = (float(terminated), float(truncated), success)
+        numbers = np.asarray([reward, *flags, *self._known.values()], np.float32)
         values = observation if isinstance(observation, Mapping) else {OBSERVATION: observation}
         return Reading(
             tuple(
