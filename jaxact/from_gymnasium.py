@@ -46,6 +46,8 @@ def from_gymnasium(
     metrics: Sequence[str] = (),
     task: Task | None = None,
     action_names: Sequence[str] = (),
+    held_out: Callable[[], gymnasium.Env[Any, Any]] | None = None,
+    held_out_seeds: int = 0,
     **options: Any,
 ) -> POMDP:
     """Makes a world of a Gymnasium environment.
@@ -71,6 +73,10 @@ def from_gymnasium(
         episode's end count and have to be there; between, what is absent is as it was, at first 0.
       task: judges in place of the environment's own reward and ends; see `SimulatedState`.
       action_names: of discrete actions.
+      held_out: makes one environment to evaluate with, of the same spaces; None if evaluation is in
+        the same ones.
+      held_out_seeds: N, to evaluate on the episodes of the seeds 0 … N − 1, each once and in order;
+        0 for seeds that are drawn from the evaluation's.
       **options: with an id, of `gymnasium.make`.
 
     Raises:
@@ -94,9 +100,10 @@ def from_gymnasium(
         simulators=simulators,
         threads=threads,
         names=tuple(action_names),
+        make_held_out=held_out and functools.partial(_make, simulator, held_out),
     )
     world.pool(held_out=False).adopt(simulator(probe))
-    episodes = SimulatedEpisodes(world, NEVER if horizon is None else horizon)
+    episodes = SimulatedEpisodes(world, NEVER if horizon is None else horizon, held_out_seeds)
     if task is None:
         task = SimulatedTask(float("inf") if threshold is None else float(threshold))
     sensors = {

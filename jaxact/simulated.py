@@ -73,6 +73,7 @@ class Simulated(Environment):
       simulators: at most how many there are for training, and how many for evaluation.
       threads: how many are stepped at once, see `simulators.Simulators`.
       names: of discrete actions.
+      make_held_out: makes one to evaluate with, of the same spaces; None if those are the same.
     """
 
     numbers_are_structure = True
@@ -84,6 +85,7 @@ class Simulated(Environment):
     simulators: int = 8
     threads: int = 0
     names: tuple[str, ...] = ()
+    make_held_out: Callable[[], Simulator] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "observations", FrozenMapping(self.observations))
@@ -105,15 +107,15 @@ class Simulated(Environment):
         """Those given."""
         return self.actions
 
-    def begin(self, key: jax.Array, horizon: jax.Array, held_out: bool) -> SimulatedState:
-        """Resets a simulator to a seed that is drawn.
+    def begin(self, episode: jax.Array, horizon: jax.Array, held_out: bool) -> SimulatedState:
+        """Resets a simulator.
 
         Args:
-          key: of the episode.
+          episode: uint32 [2], its name, of which no other episode in play may be; `seed_of` it is
+            the seed.
           horizon: int32 scalar, steps after which it is over.
           held_out: whether it is one to evaluate on; they have simulators of their own.
         """
-        episode = jax.random.bits(key, (2,), jnp.uint32)
         group = jnp.uint32(held_out)
         zero, limit = jnp.zeros((), jnp.uint32), jnp.asarray(horizon, jnp.uint32)
         ticket = jnp.stack([group, zero, episode[0], episode[1], zero, limit])
@@ -178,10 +180,10 @@ class Simulated(Environment):
 
 @functools.cache
 def _pool(environment: Simulated, held_out: bool) -> Simulators:
-    del held_out
+    make = (environment.make_held_out if held_out else None) or environment.make
     shapes = [space.structure for space in environment.observations.values()]
     limit, threads = environment.simulators, environment.threads
-    return Simulators(environment.make, limit, threads, shapes, len(environment.metrics))
+    return Simulators(make, limit, threads, shapes, len(environment.metrics))
 
 
 def _begin(environment: Simulated, tickets: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -206,24 +208,27 @@ class SimulatedEpisodes(TaskSampler):
     Attributes:
       environment: the simulators.
       horizon: steps after which an episode is truncated, if the simulator did not end it before.
+      held_out_seeds: evaluation is on the seeds 0 … N − 1; 0 for seeds that are drawn.
       is_held_out: whether episodes are to evaluate on.
     """
 
     environment: Simulated
     horizon: int = 2**31 - 1
+    held_out_seeds: int = 0
     is_held_out: bool = False
 
     @property
-    def held_out(self) -> SimulatedEpisodes:
-        """The same with simulators of their own."""
+    def held_out(self) -> TaskSampler:
+        """The same with simulators of their own, or with the list of seeds."""
+        if self.held_out_seeds:
+            return SimulatedSeeds(self.environment, self.held_out_seeds, self.horizon)
         return replace(self, is_held_out=True)
 
     def sample(self, key: jax.Array, sampler_state: PyTree) -> Episode:
         """Resets a simulator."""
         del sampler_state
-        horizon = jnp.int32(self.horizon)
-        state = self.environment.begin(key, horizon, self.is_held_out)
-        return Episode(environment=state, task=(), horizon=horizon)
+        episode = jax.random.bits(key, (2,), jnp.uint32)
+        return _begin_episode(self.environment, episode, self.horizon, self.is_held_out)
 
     def check(self, pomdp: POMDP) -> None:
         """Refuses other simulators than the sampler's."""
@@ -233,6 +238,39 @@ class SimulatedEpisodes(TaskSampler):
                 "exchange both, as in override(pomdp, {'environment.simulators': n, "
                 "'sampler.environment.simulators': n})"
             )
+
+
+@dataclass(frozen=True)
+class SimulatedSeeds(TaskSampler):
+    """Held-out episodes of simulators outside of JAX, one for each of the seeds 0 … N − 1.
+
+    Attributes:
+      environment: the simulators.
+      count: N.
+      horizon: steps after which an episode is truncated.
+    """
+
+    environment: Simulated
+    count: int
+    horizon: int
+
+    def sample(self, key: jax.Array, sampler_state: PyTree) -> Episode:
+        """Begins one of them."""
+        return self.listed(jax.random.randint(key, (), 0, self.count, jnp.int32), sampler_state)
+
+    def listed(self, index: jax.Array, sampler_state: PyTree) -> Episode:
+        """Resets a simulator to the seed that the int32 scalar is."""
+        del sampler_state
+        seed = jnp.asarray(index, jnp.uint32)
+        episode = jnp.stack([seed << 1, jnp.zeros_like(seed)])
+        return _begin_episode(self.environment, episode, self.horizon, held_out=True)
+
+
+def _begin_episode(
+    environment: Simulated, episode: jax.Array, horizon: int, held_out: bool
+) -> Episode:
+    limit = jnp.int32(horizon)
+    return Episode(environment.begin(episode, limit, held_out), task=(), horizon=limit)
 
 
 @dataclass(frozen=True)

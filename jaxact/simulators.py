@@ -155,7 +155,7 @@ class Simulators:
             self._clock += 1
             readings: list[Reading | None] = [None] * len(tickets)
             jobs = []
-            for row in np.flatnonzero(active):
+            for row in np.flatnonzero(active).tolist():
                 slot = self._slot_at(tickets[row])
                 action = tuple(leaf[row] for leaf in actions)
                 jobs.append(self._step_job(slot, tickets[row], action, readings, row))

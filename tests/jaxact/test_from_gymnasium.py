@@ -248,6 +248,16 @@ def test_devices_share_the_simulators():
     subprocess.run(command, check=True, env={**os.environ, "JAX_NUM_CPU_DEVICES": "2"})
 
 
+def test_listed_seeds_are_evaluated_in_order(trained):
+    """In environments of their own."""
+    pomdp = countdown(4, held_out=functools.partial(Countdown, 2), held_out_seeds=6)
+    played = evaluate_policy(pomdp, trained[1].policy, 100)
+    assert sorted(Countdown.resets) == list(range(6))
+    assert len(played.length) == 6
+    assert played.length.max() == 2
+    assert (played.length[played.success] >= 1 + np.arange(6)[played.success] % LENGTH).all()
+
+
 def test_recordings_are_of_simulated_episodes(trained, tmp_path):
     small, result = trained
     recorded = collect(
