@@ -24,6 +24,7 @@ from jaxact.policy import Policy
 from jaxact.pomdp import POMDP, ExpertAction, PyTree, Step
 from jaxact.progress import ProgressDisplay
 from jaxact.runs import CONFIG
+from jaxact.simulators import explained
 
 # The package whose `make(id)` builds worlds; named, for the library imports no worlds.
 WORLDS = "envs_jax"
@@ -31,6 +32,7 @@ WORLDS = "envs_jax"
 _AHEAD = 16 * LANES
 
 
+@explained()
 def collect(
     pomdp: POMDP,
     output: str | Path,

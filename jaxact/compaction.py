@@ -89,9 +89,10 @@ def for_each_chosen(
       mask: bool [N], which entries need work.
       carry: what the work changes.
       work: (places [n], rows [n], carry) -> (again bool [n], carry). `rows` are the entries to read
-        from, always valid; `places` are the same entries to write to, with N, which a write with
-        mode="drop" ignores, where there are fewer than n to be done. Entries for which `again` is
-        true will be worked on once more.
+        from; `places` are the same entries to write to. Where there are fewer than n to be done,
+        places are N, which a write with mode="drop" ignores, and rows are the first one again, so
+        that nothing is read but what was chosen. Entries for which `again` is true will be worked
+        on once more.
       share: n is N / share, at least 8.
 
     Returns:
@@ -108,7 +109,9 @@ def for_each_chosen(
         left, carry = state
         rank = jnp.where(left, jnp.cumsum(left, dtype=jnp.int32) - 1, size)
         places = nothing.at[rank].set(indices, mode="drop")
-        again, carry = work(places, jnp.minimum(places, size - 1), carry)
+        # Under `vmap` there may be none at all here, and any row will do.
+        rows = jnp.where(places < size, places, jnp.minimum(places[0], size - 1))
+        again, carry = work(places, rows, carry)
         return left.at[places].set(again, mode="drop"), carry
 
     return jax.lax.while_loop(some_left, do_some, (mask, carry))[1]

@@ -23,7 +23,7 @@ from jaxact.pomdp import POMDP, PyTree, State
 from jaxact.rollout import select
 from jaxact.train_state import make_key
 
-# Changing it may change the last bits of what a policy does, and so what is recorded.
+# At most. Changing it may change the last bits of what a policy does, and so what is recorded.
 LANES = 256
 # Steps of each lane between two looks at what they did.
 LENGTH = 32
@@ -105,7 +105,7 @@ class EpisodeStream:
         """Takes the next `LENGTH` steps; lanes whose next episode is not below `limit` wait.
 
         Returns:
-          Arrays [LENGTH, LANES, ...] by field name, with "number" and "step" of the episode and
+          Arrays [LENGTH, lanes, ...] by field name, with "number" and "step" of the episode and
           "active", false where the lane waited and the rest is meaningless.
         """
         limits = jnp.int32(min(limit, 2**31 - 1 - LANES))
@@ -127,6 +127,7 @@ def _expert_program(pomdp: POMDP, final: bool) -> tuple[Any, Any]:
 
 def _program(pomdp: POMDP, actor: Actor, final: bool) -> tuple[Any, Any]:
     """Compiles the beginning of a stream, and its next steps."""
+    count = pomdp.lanes_at_once(LANES)
 
     def sample(sampler: PyTree, key: jax.Array, number: jax.Array) -> tuple[State, PyTree]:
         sample_key, _ = episode_keys(key, number)
@@ -134,19 +135,19 @@ def _program(pomdp: POMDP, actor: Actor, final: bool) -> tuple[Any, Any]:
         return state, pomdp.observe(state)
 
     def begin(sampler: PyTree, key: jax.Array, first: jax.Array) -> _Lanes:
-        lane = jnp.arange(LANES, dtype=jnp.int32)
-        before = first + (lane - first) % LANES - LANES
+        lane = jnp.arange(count, dtype=jnp.int32)
+        before = first + (lane - first) % count - count
         shapes = jax.eval_shape(sample, sampler, key, first)
-        state, observation = jax.tree.map(lambda x: jnp.zeros((LANES, *x.shape), x.dtype), shapes)
-        over = jnp.ones(LANES, bool)
-        return _Lanes(before, over, state, observation, actor.initial_memory(LANES))
+        state, observation = jax.tree.map(lambda x: jnp.zeros((count, *x.shape), x.dtype), shapes)
+        over = jnp.ones(count, bool)
+        return _Lanes(before, over, state, observation, actor.initial_memory(count))
 
     def advance(
         params: PyTree, sampler: PyTree, key: jax.Array, limit: jax.Array, lanes: _Lanes
     ) -> tuple[_Lanes, Rows]:
         def act(lanes: _Lanes, _: None) -> tuple[_Lanes, Rows]:
-            begins = lanes.over & (lanes.number + LANES < limit)
-            number = jnp.where(begins, lanes.number + LANES, lanes.number)
+            begins = lanes.over & (lanes.number + count < limit)
+            number = jnp.where(begins, lanes.number + count, lanes.number)
 
             def take(places: jax.Array, chosen: jax.Array, now: PyTree) -> tuple[jax.Array, PyTree]:
                 new = jax.vmap(lambda number: sample(sampler, key, number))(number[chosen])
@@ -154,7 +155,7 @@ def _program(pomdp: POMDP, actor: Actor, final: bool) -> tuple[Any, Any]:
 
             now = (lanes.state, lanes.observation)
             state, observation = for_each_chosen(begins, now, take, share=8)
-            memory = select(begins, actor.initial_memory(LANES), lanes.memory)
+            memory = select(begins, actor.initial_memory(count), lanes.memory)
 
             step_keys = jax.vmap(lambda number: episode_keys(key, number)[1])(number)
             keys = jax.vmap(lambda key, t: jax.random.split(jax.random.fold_in(key, t)))(

@@ -17,6 +17,7 @@ from jaxact.compaction import anywhere
 from jaxact.policy import Policy
 from jaxact.pomdp import POMDP, Listed, PyTree, State
 from jaxact.rollout import mean_of_agents, select
+from jaxact.simulators import explained
 from jaxact.statistics import confidence_interval, mean_interval
 from jaxact.train_state import make_key
 
@@ -83,7 +84,7 @@ def evaluate_policy(
     the first are played, each once and in order, whatever the seed, and no more than there are.
     """
     player = _compiled_policy_player(pomdp, policy.model, greedy)
-    return _evaluate(player, policy.params, *held_out_lanes(pomdp, seed, episodes), MAX_LANES)
+    return _evaluate(pomdp, player, policy.params, episodes, seed, MAX_LANES)
 
 
 def evaluate_expert(pomdp: POMDP, episodes: int = 1000, *, seed: int = 0) -> Evaluation:
@@ -93,7 +94,7 @@ def evaluate_expert(pomdp: POMDP, episodes: int = 1000, *, seed: int = 0) -> Eva
       JaxactError: the task has no expert.
     """
     player = _expert_player(pomdp)
-    return _evaluate(player, (), *held_out_lanes(pomdp, seed, episodes), MAX_LANES)
+    return _evaluate(pomdp, player, (), episodes, seed, MAX_LANES)
 
 
 def evaluate_policies(
@@ -110,10 +111,14 @@ def evaluate_policies(
 
     Returns:
       An evaluation for each policy.
+
+    Raises:
+      JaxactError: the world is simulated outside of JAX.
     """
+    pomdp.check_in_jax("evaluations of several policies at once are")
     policies = jax.tree.leaves(params)[0].shape[0]
     lanes = max(1, min(MAX_LANES, MAX_LANES_OF_SEVERAL // policies))
-    joined = _evaluate(player, params, *held_out_lanes(pomdp, seed, episodes), lanes)
+    joined = _evaluate(pomdp, player, params, episodes, seed, lanes)
     parts = {f.name: getattr(joined, f.name) for f in fields(Evaluation)}
     return [Evaluation(**jax.tree.map(lambda x, i=i: x[i], parts)) for i in range(policies)]
 
@@ -247,14 +252,12 @@ def _player(pomdp: POMDP, actor: Actor) -> Player:
     return play_episodes
 
 
+@explained()
 def _evaluate(
-    player: Player,
-    params: PyTree,
-    beginnings: jax.Array,
-    step_keys: jax.Array,
-    max_lanes: int,
+    pomdp: POMDP, player: Player, params: PyTree, episodes: int, seed: int, max_lanes: int
 ) -> Evaluation:
-    episodes = len(beginnings)
+    beginnings, step_keys = held_out_lanes(pomdp, seed, episodes)
+    episodes, max_lanes = len(beginnings), pomdp.lanes_at_once(max_lanes)
     # Batches of one size, so that one program serves all; what the last one lacks is played again
     # and left out.
     turns = -(-episodes // max_lanes)

@@ -55,6 +55,12 @@ class Experiment:
                     )
             if stage.steps < 1:
                 raise JaxactError(f"{where}: steps must be at least 1, got {stage.steps}")
+            limit = self.pomdp.lanes_at_once(settings.lanes)
+            if settings.lanes > limit:
+                raise JaxactError(
+                    f"{where}: there are {settings.lanes} lanes, but the world can be simulated "
+                    f"{limit} times at once; give it more simulators, or the pipeline {limit} lanes"
+                )
             parts = settings.minibatches * devices
             if settings.lanes % parts:
                 nearest = max(parts, round(settings.lanes / parts) * parts)

@@ -36,9 +36,10 @@ def to_gymnax(
         PureJaxRL take it, rather than `terminated` and `truncated`.
 
     Raises:
-      JaxactError: the world is one of several agents.
+      JaxactError: the world is one of several agents, or simulated outside of JAX.
     """
     pomdp.check_single_agent("gymnax environments are")
+    pomdp.check_in_jax("gymnax environments are")
     return GymnaxEnvironment(pomdp, name, flatten, joint_done)
 
 

@@ -75,12 +75,15 @@ class Outcome:
       success: named bool goal conditions; the episode succeeds when all hold.
       terminated: bool, whether the task has ended (its horizon is not the task's business).
       metrics: named float32 task metrics, for example SPL.
+      truncated: bool, whether the world itself breaks the episode off, as simulators with limits of
+        their own do; None if none ever does.
     """
 
     reward: Mapping[str, jax.Array]
     success: Mapping[str, jax.Array]
     terminated: jax.Array
     metrics: Mapping[str, jax.Array]
+    truncated: jax.Array | None = None
 
 
 @jax.tree_util.register_dataclass
@@ -112,7 +115,8 @@ class Step:
       reward: float32 scalar, the sum of `reward_terms`; [A] where there are several agents.
       reward_terms: named float32 components, likewise.
       terminated: bool, the task has ended; nothing is bootstrapped.
-      truncated: bool, the horizon was reached; both flags may be true.
+      truncated: bool, the horizon was reached, or the world broke the episode off; both flags may
+        be true.
       success: bool, all goal conditions hold.
       metrics: named float32 task metrics.
     """
@@ -172,6 +176,16 @@ class Environment(ABC):
     def action_names(self) -> tuple[str, ...]:
         """Names of discrete actions, for people to read; by default there are none."""
         return ()
+
+    @property
+    def max_lanes(self) -> int | None:
+        """How many episodes can be in play at once; by default any number, None.
+
+        A number says that the worlds lie outside of JAX, and that their states only refer to them.
+        Episodes are then sampled when they begin, instead of ahead; a resumed run begins new ones.
+        Those that are trained on and those held out are counted apart.
+        """
+        return None
 
     @property
     @abstractmethod
@@ -393,6 +407,23 @@ class POMDP:
                 f"{what} for worlds of one agent, and this one is of {self.num_agents} agents"
             )
 
+    def lanes_at_once(self, wanted: int) -> int:
+        """Returns how many of the episodes that are wanted can be played side by side."""
+        limit = self.environment.max_lanes
+        return wanted if limit is None else min(wanted, limit)
+
+    def check_in_jax(self, what: str) -> None:
+        """Refuses a world that lies outside of JAX, for what copies states or plays many at once.
+
+        Raises:
+          JaxactError: it does.
+        """
+        if self.environment.max_lanes is not None:
+            raise JaxactError(
+                f"{what} for worlds in JAX, and this one is simulated outside, where there are "
+                f"{self.environment.max_lanes} lanes and no copies of a state"
+            )
+
     @property
     def observation_space(self) -> Dict:
         """One named space for each sensor."""
@@ -439,12 +470,15 @@ class POMDP:
         state = replace(state, environment=environment, task=task, steps=steps)
         reward = sum(outcome.reward.values(), start=jnp.float32(0))
         success = jnp.all(jnp.stack(list(outcome.success.values())), axis=0)
+        truncated = steps >= state.horizon
+        if outcome.truncated is not None:
+            truncated |= outcome.truncated
         return state, Step(
             observation=self.observe(state),
             reward=reward,
             reward_terms=outcome.reward,
             terminated=outcome.terminated,
-            truncated=steps >= state.horizon,
+            truncated=truncated,
             success=success,
             metrics=outcome.metrics,
         )

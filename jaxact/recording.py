@@ -17,10 +17,12 @@ from jaxact.evaluation import begin_held_out, held_out_lanes
 from jaxact.features import check_names, draw, intermediates
 from jaxact.policy import Policy, PolicyMemory
 from jaxact.pomdp import POMDP, Charted
+from jaxact.simulators import explained
 from jaxact.spaces import Space
 from jaxact.video import annotate
 
 
+@explained()
 def record_episode(
     pomdp: POMDP,
     policy: Policy,

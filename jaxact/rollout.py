@@ -20,8 +20,9 @@ from jaxact.models.output import ActorCriticOutput
 from jaxact.pomdp import POMDP, Episode, ExpertAction, FinishedEpisodes, PyTree, State, Step
 
 QUEUE_LENGTH = 8
-# With a sampler that learns the queue lasts for one rollout, see `rollout`.
-QUEUE_LENGTH_IF_LEARNING = 1
+# With a sampler that learns the queue lasts for one rollout, see `rollout`. Worlds outside of JAX
+# cannot begin an episode before the one before is over.
+SHORTEST_QUEUE_LENGTH = 1
 
 
 @jax.tree_util.register_dataclass
@@ -111,12 +112,24 @@ class Trajectory:
     episode_terms: dict[str, jax.Array]
 
 
-def refill(pomdp: POMDP, sampler_state: PyTree, queue: EpisodeQueue) -> EpisodeQueue:
-    """Samples the episodes that each lane's queue lacks."""
+def refill(
+    pomdp: POMDP, sampler_state: PyTree, queue: EpisodeQueue, only: jax.Array | None = None
+) -> EpisodeQueue:
+    """Samples the episodes that each lane's queue lacks.
+
+    Args:
+      pomdp: the world.
+      sampler_state: of its sampler.
+      queue: episodes to come.
+      only: bool [B], which lanes' queues; None for all.
+    """
     lanes, length = queue.served.shape[0], queue.length
     served = queue.served[:, None]
     index = served + (jnp.arange(length, dtype=jnp.int32) - served) % length
-    lacking = (index >= queue.drawn[:, None]).reshape(-1)
+    absent, drawn = index >= queue.drawn[:, None], queue.served + length
+    if only is not None:
+        absent, drawn = absent & only[:, None], jnp.where(only, drawn, queue.drawn)
+    lacking = absent.reshape(-1)
 
     def sample(key: jax.Array, index: jax.Array) -> tuple[Episode, dict[str, jax.Array]]:
         episode = pomdp.sampler.sample(jax.random.fold_in(key, index), sampler_state)
@@ -129,7 +142,7 @@ def refill(pomdp: POMDP, sampler_state: PyTree, queue: EpisodeQueue) -> EpisodeQ
     waiting = _merge_axes((queue.episodes, queue.observations))
     waiting = for_each_chosen(lacking, waiting, draw, share=16)
     episodes, observations = jax.tree.map(lambda x: x.reshape(lanes, length, *x.shape[1:]), waiting)
-    return EpisodeQueue(queue.key, queue.served, queue.served + length, episodes, observations)
+    return EpisodeQueue(queue.key, queue.served, drawn, episodes, observations)
 
 
 def _merge_axes(tree: PyTree) -> PyTree:
@@ -165,7 +178,10 @@ def turn_over(
     # A loop of at most one pass, which works in place. Under `vmap` (over seeds or draws) all
     # queues are refilled as soon as one is dry; were it decided for each run by itself, what is
     # sampled for the others would be thrown away and sampled again.
-    queue = jax.lax.while_loop(runs_dry, lambda queue: refill(pomdp, sampler_state, queue), queue)
+    only = None if pomdp.environment.max_lanes is None else finished
+    queue = jax.lax.while_loop(
+        runs_dry, lambda queue: refill(pomdp, sampler_state, queue, only), queue
+    )
     state, observation = _take(pomdp, queue, finished, state, observation)
     queue = replace(queue, served=queue.served + finished.astype(jnp.int32))
     return queue, state, observation

@@ -111,6 +111,7 @@ class Sweep:
     def __post_init__(self) -> None:
         self.options.check()
         self.experiment.check()
+        self.experiment.pomdp.check_in_jax("sweeps are")
         self.space.check(self.experiment)
         self.devices = choose_devices(self.options.devices)
         self.directory: Path | None = None

@@ -23,7 +23,9 @@ def check_pomdp(pomdp: POMDP, *, seed: int = 0, lanes: int = 4, steps: int = 16)
 
     Raises:
       AssertionError: with a sentence that says what is wrong.
+      JaxactError: the world is simulated outside of JAX, so that its parts are not pure.
     """
+    pomdp.check_in_jax("these checks are")
     assert hash(pomdp) == hash(pomdp), "the POMDP is not hashable"
     key = jax.random.key(seed)
     state, observation = jax.jit(pomdp.reset)(key)

@@ -34,6 +34,7 @@ from jaxact.program import Program, choose_devices, concatenate
 from jaxact.progress import ProgressDisplay
 from jaxact.recording import record_episode
 from jaxact.runs import create_run, open_run, write_json
+from jaxact.simulators import explained
 from jaxact.train_state import TrainState, make_key
 from jaxact.video import write_video
 
@@ -116,6 +117,7 @@ class Run:
         self.received: signal.Signals | None = None
         self.interrupted: signal.Signals | None = None
 
+    @explained()
     def run(self) -> TrainResult:
         """Trains from the start, or from where a resumed run was."""
         total = self.options.total_steps or self.experiment.pipeline.total_steps
@@ -168,9 +170,14 @@ class Run:
     def _restore(self) -> TrainState:
         """Reads the newest checkpoint of the run that is resumed; checked before compiling."""
         assert self.checkpoints is not None
-        return self.checkpoints.restore(
+        state = self.checkpoints.restore(
             None, self.program.like(), name=self.experiment.name, fingerprint=self.fingerprint
         ).state
+        if self.experiment.pomdp.environment.max_lanes is None:
+            return state
+        # What is saved of worlds outside of JAX is where they were, not what they were.
+        lanes = dataclasses.replace(state.lanes, is_first=state.lanes.is_first | True)
+        return dataclasses.replace(state, lanes=lanes)
 
     def _train_stage(
         self,

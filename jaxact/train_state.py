@@ -14,7 +14,7 @@ from jaxact.experiment import Experiment
 from jaxact.gradients import Learnt
 from jaxact.losses.base import Following, Loss
 from jaxact.pomdp import PyTree
-from jaxact.rollout import QUEUE_LENGTH, QUEUE_LENGTH_IF_LEARNING, Lanes, start_lanes
+from jaxact.rollout import QUEUE_LENGTH, SHORTEST_QUEUE_LENGTH, Lanes, start_lanes
 
 # Exact under vmap, the same on every backend, and several times faster on CPUs than the default.
 PRNG_IMPLEMENTATION = "philox2x32"
@@ -127,7 +127,8 @@ def start(experiment: Experiment, key: jax.Array, data: Mapping[str, PyTree]) ->
     params = init_params(experiment, params_key)
     losses = _init_losses(experiment, params, jax.random.fold_in(params_key, 1))
     sampler = pomdp.sampler.init(sampler_key)
-    queue_length = QUEUE_LENGTH_IF_LEARNING if pomdp.sampler.learns else QUEUE_LENGTH
+    ahead = not pomdp.sampler.learns and pomdp.environment.max_lanes is None
+    queue_length = QUEUE_LENGTH if ahead else SHORTEST_QUEUE_LENGTH
     lane_keys = jax.random.split(lanes_key, pipeline.lanes)
     storages = {
         name: storage.init(
