@@ -1,5 +1,6 @@
 """Worlds and tasks in pure JAX, built by `make(id)`."""
 
+from envs_jax import brax_worlds as brax_worlds
 from envs_jax import furniture as furniture
 from envs_jax import houses as houses
 from envs_jax import lighthouse as lighthouse
@@ -13,6 +14,7 @@ from envs_jax.registry import make as make
 from envs_jax.registry import register as register
 
 __all__ = [
+    "brax_worlds",
     "furniture",
     "houses",
     "ids",

@@ -32,6 +32,8 @@ _FRAME, _TILE, _MARGIN, _LINE = 192, 32, 10, 14
 _MISSION_LINES = 3
 _CELL = (_FRAME + 2 * _MARGIN, _FRAME + (1 + _MISSION_LINES) * _LINE + 3 * _MARGIN)
 _BACKGROUND, _TEXT, _MUTED = (22, 24, 29), (232, 235, 240), (142, 150, 164)
+# Beginnings of the ids of worlds of which nothing can be drawn.
+_WITHOUT_PICTURES = ("Brax-",)
 # Each program runs once, so compiling it is nearly all of the work. To run without compiling takes
 # several times longer still.
 _COMPILE_QUICKLY = {
@@ -107,7 +109,7 @@ def select(beginnings: Sequence[str]) -> list[str]:
     Raises:
       JaxactError: no id begins so.
     """
-    names = envs_jax.ids()
+    names = [name for name in envs_jax.ids() if not name.startswith(_WITHOUT_PICTURES)]
     for beginning in beginnings:
         if not any(name.startswith(beginning) for name in names):
             raise unknown("environment id", beginning, names)
