@@ -33,7 +33,7 @@ _MISSION_LINES = 3
 _CELL = (_FRAME + 2 * _MARGIN, _FRAME + (1 + _MISSION_LINES) * _LINE + 3 * _MARGIN)
 _BACKGROUND, _TEXT, _MUTED = (22, 24, 29), (232, 235, 240), (142, 150, 164)
 # Beginnings of the ids of worlds of which nothing can be drawn.
-_WITHOUT_PICTURES = ("Brax-",)
+_WITHOUT_PICTURES = ("Brax-", "Physics-")
 # Each program runs once, so compiling it is nearly all of the work. To run without compiling takes
 # several times longer still.
 _COMPILE_QUICKLY = {
