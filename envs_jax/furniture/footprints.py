@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from envs_jax.social.grid import choose
+from envs_jax.social.grid import choose, draws
 
 # Metres along each edge of a cell, as in iTHOR.
 CELL = 0.25
@@ -107,5 +107,5 @@ def at(cell: jax.Array, size: int) -> jax.Array:
 def choose_place(key: jax.Array, allowed: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Draws a yaw and a cell of those allowed, bool [n, S, S], each as likely."""
     size = allowed.shape[1]
-    index = choose(key, allowed.reshape(-1))
+    index = choose(draws(key, 1)[0], allowed.reshape(-1))
     return index // size**2, jnp.stack([index // size % size, index % size])

@@ -38,6 +38,9 @@ class Room:
 class DrawnRooms:
     """Rooms as living rooms are: furniture along the walls, and maybe a table in the middle.
 
+    What is drawn in them is not checked to be possible: of 2,000 of FurnMove's episodes all but 3
+    had a joint plan from start to goal, however long.
+
     Attributes:
       size: S, cells along each edge of the map.
       smallest: cells along the shortest edge of a room; the longest has S − 2.

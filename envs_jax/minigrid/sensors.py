@@ -99,8 +99,9 @@ class PackedImageSensor(GridSensor):
         plane = jnp.pad(state.tiles, around - PADDING, constant_values=tiles.WALL_TILE)
         ahead = sight.rows_ahead(plane, state.position + around, state.direction, size)
         hand = jnp.where(state.carrying == 0, jnp.uint8(tiles.EMPTY_TILE), state.carrying)
-        ahead = ahead.at[size - 1, size // 2].set(hand)
-        return (ahead if self.see_through_walls else sight.in_sight(ahead, _OPAQUE)).T
+        if self.see_through_walls:
+            return ahead.at[size - 1, size // 2].set(hand).T
+        return sight.in_sight(ahead, hand, _OPAQUE).T
 
     def visible(self, state: GridState) -> jax.Array:
         """Returns which cells of the grid are in sight, bool[W, H], indexed [x, y]."""

@@ -31,25 +31,30 @@ def rows_ahead(plane: jax.Array, position: jax.Array, direction: jax.Array, size
     return jax.lax.select_n(direction, *turned)
 
 
-def in_sight(rows: jax.Array, opaque: int) -> jax.Array:
+def in_sight(rows: jax.Array, own: jax.Array, opaque: int) -> jax.Array:
     """Returns the cells uint8[vy, vx] with those that light does not reach as `tiles.UNSEEN`.
 
     Args:
       rows: as from `rows_ahead`; at most 31 along each edge.
+      own: uint8 scalar, the tile to show where the viewer stands.
       opaque: bit set of the types that cannot be seen through.
     """
     size = len(rows)
     bits = 1 << jnp.arange(size, dtype=jnp.int32)
 
-    def look(lit: jax.Array, cells: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def look(lit: jax.Array, row: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        cells, vy = row
         clear = jnp.sum(jnp.where(is_kind(cells, opaque), 0, bits), dtype=jnp.int32)
         lit_beyond = _spread(lit, clear, size)
         seen = (lit | lit_beyond) & bits != 0
-        return lit_beyond, jnp.where(seen, cells, jnp.uint8(tiles.UNSEEN))
+        here = (vy == size - 1) & (bits == 1 << size // 2)
+        shown = jnp.where(here, own, cells)
+        return lit_beyond, jnp.where(seen, shown, jnp.uint8(tiles.UNSEEN))
 
     # The rows are walked by a scan, away from the viewer: written out as elementwise code, XLA's
     # CPU backend would compute the near rows again for every cell of the far ones.
-    return jax.lax.scan(look, jnp.int32(1 << size // 2), rows, reverse=True)[1]
+    start = jnp.int32(1 << size // 2)
+    return jax.lax.scan(look, start, (rows, jnp.arange(size, dtype=jnp.int32)), reverse=True)[1]
 
 
 def _spread(lit: jax.Array, clear: jax.Array, size: int) -> jax.Array:

@@ -113,7 +113,7 @@ class MultiGridSensor(Sensor):
 
         def look(position: jax.Array, direction: jax.Array) -> jax.Array:
             rows = sight.rows_ahead(plane, position + size - 1, direction, size)
-            return sight.in_sight(rows, _OPAQUE).T
+            return sight.in_sight(rows, rows[-1, size // 2], _OPAQUE).T
 
         codes = jax.vmap(look)(state.positions, state.directions)
         image = _decode(codes, state, world.agents_index)

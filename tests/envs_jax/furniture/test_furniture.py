@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import itertools
+import types
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,7 @@ from envs_jax.furniture.footprints import DRESSER, NEAR, RADIUS, TELEVISION, cov
 from jaxact import JaxactError
 from jaxact.testing import check_pomdp
 from tests.envs_jax.furniture import rules
+from tests.envs_jax.furniture.joint_plans import Plans
 
 ROOM = (
     "#############",
@@ -247,6 +249,54 @@ def test_episodes_begin_as_they_should():
                 turned = int(one.yaw[1 - i] - one.yaw[i]) % 4
                 assert view[14 - forward, 7 + aside, turned] == 1
             assert view[14, 7, 5] == 1  # Oneself stands on the floor.
+
+
+def has_plan(state):
+    """Whether a first state, in NumPy, has a joint plan."""
+    yaws, rows, columns = np.nonzero(state.places)
+    places = set(zip(rows.tolist(), columns.tolist(), yaws.tolist(), strict=True))
+    pose = (*cell(state.object), int(state.object_yaw))
+    plans = Plans(cells(state.floor), places)
+    return plans.reaches(pose, [cell(a) for a in state.agents], cell(state.goal))
+
+
+def test_plans_lead_where_there_is_a_way():
+    room = np.pad(np.ones((10, 20), bool), 2)
+    state = {"object": (6, 6), "object_yaw": 0, "agents": [(8, 6), (4, 6)], "goal": (6, 15)}
+
+    def solved(floor, air):
+        square = [np.pad(x, ((0, 10), (0, 0))) for x in (floor, air)]
+        fits = np.asarray(places(TELEVISION, jnp.asarray(square[1])))
+        return has_plan(types.SimpleNamespace(places=fits, floor=square[0], **state))
+
+    def without(row, column):
+        """The room, but for these rows and columns."""
+        left = room.copy()
+        left[row, column] = False
+        return left
+
+    everywhere = slice(None)
+    assert solved(room, room)
+    # Over a table it can be pushed as far as arms reach.
+    assert solved(without(everywhere, slice(11, 13)), room)
+    assert not solved(without(everywhere, slice(8, 20)), room)
+    # Through a gap in a wall it fits with one ahead and one behind; not if the gap is narrower.
+    wall = without(everywhere, 12)
+    assert not solved(wall, wall)
+    for height, fits in ((3, True), (2, False)):
+        wall = without(everywhere, 12)
+        wall[4 : 4 + height, 12] = True
+        assert solved(wall, wall) == fits
+
+
+@pytest.mark.slow
+def test_nearly_all_drawn_episodes_have_a_plan():
+    """As many as `DrawnRooms` says, give or take chance."""
+    pomdp = envs_jax.make("FurnMove-v0")
+    keys = jax.random.split(jax.random.key(1), 500)
+    state = jax.tree.map(np.asarray, jax.jit(jax.vmap(pomdp.reset))(keys)[0].environment)
+    solved = [has_plan(jax.tree.map(lambda x, i=i: x[i], state)) for i in range(len(keys))]
+    assert sum(solved) >= len(keys) - 4
 
 
 def test_furniture_covers_its_cells_and_fits_where_they_are_free():
