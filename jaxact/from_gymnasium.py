@@ -100,7 +100,7 @@ def from_gymnasium(
         simulators=simulators,
         threads=threads,
         names=tuple(action_names),
-        make_held_out=held_out and functools.partial(_make, simulator, held_out),
+        make_held_out=None if held_out is None else functools.partial(_make, simulator, held_out),
     )
     world.pool(held_out=False).adopt(simulator(probe))
     episodes = SimulatedEpisodes(world, NEVER if horizon is None else horizon, held_out_seeds)
