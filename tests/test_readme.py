@@ -35,7 +35,7 @@ def code_of(text):
 @pytest.mark.parametrize("shortened", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_code_of_the_readme_runs(shortened, tmp_path):
     text = README.read_text(encoding="utf-8")
-    assert len(re.findall(r"^```python$", text, re.M)) == 13
+    assert len(re.findall(r"^```python$", text, re.M)) == 14
     code, flags = code_of(text), {}
     if shortened:
         for long, short in SHORTER.items():
