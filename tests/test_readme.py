@@ -56,7 +56,8 @@ def test_code_of_the_readme_runs(shortened, tmp_path):
         check=False,
     )
     assert finished.returncode == 0, finished.stderr
-    *_, success, action, position, sweep, search = finished.stdout.splitlines()
+    *_, success, action, position, pole, sweep, search = finished.stdout.splitlines()
+    assert pole == "1.0 False False"
     mean = float(re.search(r"'mean': ([\d.]+)", success)[1])
     assert shortened or mean > 0.5
     assert action in ("left", "right", "forward", "pickup", "drop", "toggle", "done")
