@@ -100,7 +100,7 @@ def from_gymnasium(
         simulators=simulators,
         threads=threads,
         names=tuple(action_names),
-        make_held_out=held_out and functools.partial(_make, simulator, held_out),
+        make_held_out=None if held_out is None else functools.partial(_make, simulator, held_out),
     )
     world.pool(held_out=False).adopt(simulator(probe))
     episodes = SimulatedEpisodes(world, NEVER if horizon is None else horizon, held_out_seeds)
@@ -130,9 +130,10 @@ class GymnasiumSimulator:
     metrics: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        self._spaces = _parts(from_space(self.environment.observation_space))
+        parts = _parts(from_space(self.environment.observation_space))
+        self._dtypes = {name: space.structure.dtype for name, space in parts.items()}
         for name, had, has in (
-            ("observations", self.observations, tuple(self._spaces)),
+            ("observations", self.observations, tuple(parts)),
             ("actions", self.actions, from_space(self.environment.action_space)),
         ):
             if had != has:
@@ -174,11 +175,7 @@ class GymnasiumSimulator:
         numbers = np.asarray([reward, *flags, *self._known.values()], np.float32)
         values = observation if isinstance(observation, Mapping) else {OBSERVATION: observation}
         return Reading(
-            tuple(
-                np.asarray(values[name], space.structure.dtype)
-                for name, space in self._spaces.items()
-            ),
-            numbers,
+            tuple(np.asarray(values[name], dtype) for name, dtype in self._dtypes.items()), numbers
         )
 
 

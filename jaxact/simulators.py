@@ -224,10 +224,12 @@ class Simulators:
     def _reset_job(self, slot: _Slot, ticket: np.ndarray) -> Callable[[], None]:
         def job() -> None:
             slot.steps, slot.over = 0, False
-            with _blamed(slot, ticket, "reset"):
+            try:
                 if slot.simulator is None:
                     slot.simulator = self.make()
                 slot.first = self._checked(slot.simulator.reset(int(seed_of(ticket[EPISODE]))))
+            except Exception as error:
+                raise _blame(slot, ticket, "reset", error) from error
 
         return job
 
@@ -241,8 +243,10 @@ class Simulators:
     ) -> Callable[[], None]:
         def job() -> None:
             assert slot.simulator is not None
-            with _blamed(slot, ticket, f"step {slot.steps}"):
+            try:
                 reading = self._checked(slot.simulator.step(action))
+            except Exception as error:
+                raise _blame(slot, ticket, f"step {slot.steps}", error) from error
             slot.steps += 1
             ended = bool(reading.numbers[TERMINATED] or reading.numbers[TRUNCATED])
             slot.over = ended or slot.steps >= int(ticket[HORIZON])
@@ -298,16 +302,14 @@ def _discard(slot: _Slot) -> None:
             simulator.close()
 
 
-@contextlib.contextmanager
-def _blamed(slot: _Slot, ticket: np.ndarray, when: str) -> Iterator[None]:
-    """Says in which simulator and when something failed; that one is not used again."""
-    try:
-        yield
-    except Exception as error:
-        _discard(slot)
-        where = f"at {when} of the episode with seed {seed_of(ticket[EPISODE])}"
-        kind = "" if isinstance(error, JaxactError) else f"{type(error).__name__}: "
-        raise JaxactError(f"a simulator failed {where}: {kind}{error}") from error
+def _blame(slot: _Slot, ticket: np.ndarray, when: str, error: Exception) -> JaxactError:
+    """Says when something failed in a simulator, which is not used again."""
+    _discard(slot)
+    kind = "" if isinstance(error, JaxactError) else f"{type(error).__name__}: "
+    seed = seed_of(ticket[EPISODE])
+    return JaxactError(
+        f"a simulator failed at {when} of the episode with seed {seed}: {kind}{error}"
+    )
 
 
 _failures: list[JaxactError] = []

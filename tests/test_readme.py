@@ -35,7 +35,7 @@ def code_of(text):
 @pytest.mark.parametrize("shortened", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_code_of_the_readme_runs(shortened, tmp_path):
     text = README.read_text(encoding="utf-8")
-    assert len(re.findall(r"^```python$", text, re.M)) == 13
+    assert len(re.findall(r"^```python$", text, re.M)) == 14
     code, flags = code_of(text), {}
     if shortened:
         for long, short in SHORTER.items():
@@ -56,7 +56,8 @@ def test_code_of_the_readme_runs(shortened, tmp_path):
         check=False,
     )
     assert finished.returncode == 0, finished.stderr
-    *_, success, action, position, sweep, search = finished.stdout.splitlines()
+    *_, success, action, position, pole, sweep, search = finished.stdout.splitlines()
+    assert pole == "1.0 False False"
     mean = float(re.search(r"'mean': ([\d.]+)", success)[1])
     assert shortened or mean > 0.5
     assert action in ("left", "right", "forward", "pickup", "drop", "toggle", "done")

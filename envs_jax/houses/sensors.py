@@ -66,12 +66,7 @@ class PointGoalSensor(Sensor):
 
     def observe(self, state: HouseState, task_state: PointNavState) -> jax.Array:
         """Returns the reading."""
-        place = _seen_from(state.position, state.yaw, task_state.goal)
-        if self.convention == "cartesian":
-            return place
-        bearing = jnp.arctan2(place[1], place[0])
-        bearing = -bearing if self.convention == "allenact" else bearing
-        return jnp.stack([jnp.sqrt(jnp.sum(place**2)), bearing])
+        return point_goal(self.convention, state.position, state.yaw, task_state.goal)
 
 
 @dataclass(frozen=True)
@@ -146,6 +141,23 @@ class HeadingSensor(Sensor):
         del task_state
         yaw, down = jnp.deg2rad(state.yaw), jnp.deg2rad(state.pitch)
         return jnp.stack([jnp.cos(yaw), jnp.sin(yaw), down])
+
+
+def point_goal(convention: str, position: jax.Array, yaw: jax.Array, goal: jax.Array) -> jax.Array:
+    """Returns where a goal is, float32 [2].
+
+    Args:
+      convention: see `PointGoalSensor`.
+      position: float32 [2], the plan of the agent.
+      yaw: degrees, float32 scalar.
+      goal: float32 [2], a plan.
+    """
+    place = _seen_from(position, yaw, goal)
+    if convention == "cartesian":
+        return place
+    bearing = jnp.arctan2(place[1], place[0])
+    bearing = -bearing if convention == "allenact" else bearing
+    return jnp.stack([jnp.sqrt(jnp.sum(place**2)), bearing])
 
 
 def _seen_from(place: jax.Array, yaw: jax.Array, plan: jax.Array) -> jax.Array:

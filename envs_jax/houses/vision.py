@@ -54,6 +54,11 @@ class DepthScale:
         """Returns the readings of depths in metres."""
         return (jnp.clip(depth, self.low, self.high) - self.mean) / self.deviation
 
+    def space(self, height: int, width: int) -> Box:
+        """Returns the space of a picture of readings."""
+        low, high = ((x - self.mean) / self.deviation for x in (self.low, self.high))
+        return Box(low, high, (height, width, 1))
+
 
 METRES = DepthScale(0.0, 100.0)
 ALLENACT_DEPTH = DepthScale(0.0, 5.0, 0.5, 0.25)
@@ -147,9 +152,7 @@ class DepthSensor(CameraSensor):
     @property
     def space(self) -> Box:
         """Scaled depths."""
-        scale = self.scale
-        low, high = ((x - scale.mean) / scale.deviation for x in (scale.low, scale.high))
-        return Box(low, high, (self.camera.height, self.camera.width, 1))
+        return self.scale.space(self.camera.height, self.camera.width)
 
     def observe(self, state: HouseState, task_state: PyTree) -> jax.Array:
         """Returns the depths."""
