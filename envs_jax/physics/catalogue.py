@@ -6,6 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+from envs_jax.houses.camera import Camera
+from envs_jax.houses.vision import DepthScale, DepthSensor, RGBSensor
+from envs_jax.physics.cameras import RoverCamera
 from envs_jax.physics.environment import Physics
 from envs_jax.physics.locomotion import (
     Balance,
@@ -24,11 +27,14 @@ from envs_jax.physics.navigation import (
 )
 from envs_jax.physics.reach import AnyPose, Reach, TargetSensor, arm
 from envs_jax.physics.reacher import ReacherSensor, ReacherStart, Touch
-from envs_jax.physics.rover import DRIVES, rover
+from envs_jax.physics.rover import BODY, DRIVES, rover
 from envs_jax.physics.sensors import JointSensor
 from envs_jax.registry import register
 from jaxact.errors import unknown
 from jaxact.pomdp import POMDP, Sensor, Task, TaskSampler
+
+# Degrees, of the rover's camera.
+_FIELD_OF_VIEW = 79.0
 
 
 @dataclass(frozen=True)
@@ -125,15 +131,23 @@ def gymnasium_body(name: str, *, horizon: int | None = None) -> POMDP:
     return POMDP(world, body.task(world), start, {"joints": body.sensor(world)})
 
 
-def point_nav(*, control: str = "moves", horizon: int | None = None) -> POMDP:
+def point_nav(
+    *,
+    control: str = "moves",
+    observation: tuple[str, ...] = ("lidar",),
+    resolution: int = 32,
+    horizon: int | None = None,
+) -> POMDP:
     """Builds PointNav for a rover with two driven wheels among boxes.
 
     Args:
       control: "moves" of 0.25 m and turns of 30°, or "velocities", two numbers.
+      observation: what is sensed besides the goal and the speed, of "lidar", "depth" and "rgb".
+      resolution: pixels of a picture's side.
       horizon: steps; by default 100 moves, or 300 steps of 0.2 s.
 
     Raises:
-      JaxactError: there is no such control.
+      JaxactError: there is no such control or observation.
     """
     if control not in DRIVES:
         raise unknown("control of the rover", control, DRIVES)
@@ -141,11 +155,17 @@ def point_nav(*, control: str = "moves", horizon: int | None = None) -> POMDP:
     world, task = rover(drive), PointNav(drive)
     if horizon is None:
         horizon = 100 if control == "moves" else 300
-    sensors: dict[str, Sensor] = {
-        "goal": GoalSensor(),
+    camera = Camera(resolution, resolution, _FIELD_OF_VIEW)
+    choice: dict[str, Sensor] = {
         "lidar": LidarSensor(),
-        "speed": SpeedSensor(),
+        "depth": RoverCamera(DepthSensor(camera, BODY, DepthScale(0.0, 5.0))),
+        "rgb": RoverCamera(RGBSensor(camera, BODY)),
     }
+    sensors: dict[str, Sensor] = {"goal": GoalSensor(), "speed": SpeedSensor()}
+    for name in observation:
+        if name not in choice:
+            raise unknown("observation of the rover", name, choice)
+        sensors[name] = choice[name]
     return POMDP(world, task, ClutteredArena(world, task, horizon=horizon), sensors)
 
 

@@ -31,6 +31,19 @@ BOXES = (
     (0.1, 0.9, 0.3),
 )
 _WALL = 0.1
+# Of the boxes and the walls, RGB in [0, 1].
+_COLORS = np.array(
+    [
+        (0.8, 0.3, 0.2),
+        (0.9, 0.7, 0.2),
+        (0.3, 0.6, 0.3),
+        (0.2, 0.4, 0.8),
+        (0.5, 0.3, 0.6),
+        (0.3, 0.7, 0.7),
+        *[(0.8, 0.8, 0.75)] * 4,
+    ],
+    np.float32,
+)
 
 
 def rover_model() -> str:
@@ -207,7 +220,7 @@ def scene(state: PhysicsState) -> Scene:
     half = HALF_ARENA
     empty = make_scene([(0.0,) * 7] * count, [0] * count, [(-half, -half, half, half)])
     boxes = obstacles(state)
-    return replace(empty, boxes=boxes, other_boxes=boxes)
+    return replace(empty, boxes=boxes, other_boxes=boxes, color=jnp.asarray(_COLORS))
 
 
 def _walls() -> np.ndarray:

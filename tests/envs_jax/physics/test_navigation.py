@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 import envs_jax
-from envs_jax.physics.navigation import PointNav
-from envs_jax.physics.rover import BOXES, RADIUS, Moves, Velocities
+from envs_jax.houses.camera import Camera
+from envs_jax.houses.vision import DepthScale, DepthSensor
+from envs_jax.physics.cameras import RoverCamera
+from envs_jax.physics.navigation import LidarSensor, PointNav
+from envs_jax.physics.rover import BODY, BOXES, RADIUS, Moves, Velocities
 from jaxact.errors import JaxactError
 from jaxact.testing import check_pomdp
 
@@ -92,6 +95,24 @@ def test_the_lidar_sees_what_mujocos_rays_hit(episodes):
             assert float(metres) == pytest.approx(min(far, 3.0), abs=1e-4)
 
 
+def test_the_camera_sees_as_far_as_the_lidar(episodes):
+    camera = Camera(9, 9, 60.0)
+    depth = RoverCamera(DepthSensor(camera, BODY, DepthScale(0.0, 3.0), ranges=True))
+    look, feel = jax.jit(depth.observe), jax.jit(LidarSensor(rays=1).observe)
+    # The columns of a picture lead from left to right, the lidar's rays counterclockwise.
+    across = np.arctan(np.tan(np.pi / 6) * (1 - np.arange(9) * 2 / 8) * 8 / 9)
+    for state, observation in episodes[:3]:
+        world = state.environment
+        picture = look(world, state.task)
+        assert picture.shape == (9, 9, 1)
+        middle = np.asarray(picture)[4, :, 0]
+        assert float(middle[4]) == pytest.approx(float(observation["lidar"][0]), abs=1e-4)
+        for column in (0, 2, 7):
+            turned = world.position.at[2].add(jnp.float32(across[column]))
+            seen = feel(replace(world, position=turned), state.task)
+            assert float(middle[column]) == pytest.approx(float(seen[0]), abs=1e-4)
+
+
 def test_starts_are_free_and_goals_can_be_reached(episodes):
     for state, _ in episodes:
         model, data = MOVES.environment.model, mujoco.MjData(MOVES.environment.model)
@@ -145,6 +166,8 @@ def test_the_same_rover_is_driven_by_velocities():
 def test_wrong_controls_are_refused():
     with pytest.raises(JaxactError, match=r"unknown control of the rover 'move'.*'moves'"):
         envs_jax.make("Physics-PointNav-v0", control="move")
+    with pytest.raises(JaxactError, match="unknown observation of the rover 'dept'"):
+        envs_jax.make("Physics-PointNav-v0", observation=("dept",))
     with pytest.raises(JaxactError, match=r"task\.drive is Velocities"):
         replace(MOVES, task=PointNav(Velocities()))
     assert replace(MOVES, task=PointNav(Moves(), radius=0.3)).task.radius == 0.3
