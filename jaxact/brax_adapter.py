@@ -1,6 +1,7 @@
 """Worlds behind Brax's interface, for its own trainers, such as `brax.training.agents.ppo`.
 
     from brax.training.agents.ppo import train as ppo
+    restore_device_put_replicated()
     ppo.train(to_brax(pomdp), wrap_env_fn=wrap, episode_length=100, …)
 
 Its trainers' wrappers do not sample episodes: `AutoResetWrapper` keeps each lane's first state
@@ -12,13 +13,15 @@ PPO). So a lane plays one episode's beginning over and over, with new chance in 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from brax.envs.base import Env, State
 from brax.envs.wrappers.training import AutoResetWrapper, EpisodeWrapper, VmapWrapper
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxact.errors import JaxactError
 from jaxact.gymnax_spaces import flattened
@@ -150,6 +153,23 @@ def wrap(
             "episodes with its task sampler"
         )
     return AutoResetWrapper(_OwnHorizons(VmapWrapper(env), episode_length, action_repeat))
+
+
+def restore_device_put_replicated() -> None:
+    """Gives JAX back `jax.device_put_replicated` for this process, if it has none.
+
+    Brax 0.14.2's trainers begin with a call of it, and JAX 0.10 has removed it.
+    """
+    if hasattr(jax, "device_put_replicated"):
+        return
+
+    def device_put_replicated(tree: PyTree, devices: Sequence[Any]) -> PyTree:
+        """Returns a tree with a copy of each array for every device, on an axis in front."""
+        spread = NamedSharding(Mesh(np.asarray(devices), ("devices",)), PartitionSpec("devices"))
+        copies = jax.tree.map(lambda x: jnp.stack([jnp.asarray(x)] * len(devices)), tree)
+        return jax.device_put(copies, spread)
+
+    jax.device_put_replicated = device_put_replicated  # type: ignore[attr-defined, unused-ignore]
 
 
 class _OwnHorizons(EpisodeWrapper):  # type: ignore[misc, unused-ignore]

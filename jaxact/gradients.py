@@ -13,6 +13,7 @@ from jax.flatten_util import ravel_pytree
 
 from jaxact.agents import as_lanes, batch_of_lanes
 from jaxact.losses.base import PRIORITY, TARGET_MODEL, Batch, Following, Loss, Progress
+from jaxact.models.normalized import held
 from jaxact.models.output import ActorCriticOutput
 from jaxact.pomdp import PyTree
 from jaxact.schedules import Schedule, value_at
@@ -40,6 +41,15 @@ class Learnt:
     def trained(self) -> tuple[PyTree, dict[str, PyTree]]:
         """The parameters of the model, and of losses by name."""
         return self.params, {name: own.get("params", {}) for name, own in self.losses.items()}
+
+    def with_trained(self, trained: tuple[PyTree, dict[str, PyTree]]) -> Learnt:
+        """Returns the same with other parameters, and the optimizer's state as it is."""
+        params, own = trained
+        losses = {
+            name: {**variables, "params": own[name]} if "params" in variables else variables
+            for name, variables in self.losses.items()
+        }
+        return replace(self, params=params, losses=losses)
 
 
 @dataclass(frozen=True)
@@ -83,15 +93,12 @@ class GradientStep:
             updates, optimizer = self.optimizer.update(
                 unflatten(flat), learnt.optimizer, learnt.trained
             )
-        params, own = optax.apply_updates(learnt.trained, updates)
-        losses = {
-            name: {**variables, "params": own[name]} if "params" in variables else variables
-            for name, variables in learnt.losses.items()
-        }
+        learnt = learnt.with_trained(optax.apply_updates(learnt.trained, held(updates)))
+        losses = dict(learnt.losses)
         for name, loss in self.losses.items():
             if isinstance(loss, Following):
-                losses[name] = loss.follow(losses[name], params)
-        return Learnt(params, losses, optimizer), metrics, memory, priority
+                losses[name] = loss.follow(losses[name], learnt.params)
+        return Learnt(learnt.params, losses, optimizer), metrics, memory, priority
 
     def _objective(
         self, trained: tuple[PyTree, dict[str, PyTree]], variables: PyTree, batch: Batch

@@ -13,6 +13,7 @@ from jaxact.distributions import explore
 from jaxact.experiment import Experiment
 from jaxact.gradients import GradientStep, Learnt, Metrics, stack_metrics
 from jaxact.losses.base import Anchored, Batch, Loss, Progress, Rewarding
+from jaxact.models.normalized import observed
 from jaxact.models.output import ActorCriticOutput
 from jaxact.pipeline import Stage, TrainingPipeline
 from jaxact.pomdp import FollowsPolicy, PyTree
@@ -143,6 +144,7 @@ def _rollout_update(
     losses: Metrics = {}
     if stage.losses:
         learnt, keys, losses = _learn_from_rollout(gradient_step, settings, learnt, batch)
+    learnt = learnt.with_trained(observed(learnt.trained, trajectory.observation, axis_name))
 
     if pomdp.sampler.learns:
         error = mean_of_agents(jnp.abs(batch.advantage), 2)

@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxact.losses.base import Batch, Loss, Progress
-from jaxact.losses.moments import Moments, scale_by_returns
 from jaxact.models.actor_critic import flatten_action
 from jaxact.models.output import ActorCriticOutput
+from jaxact.moments import Moments, scale_by_returns
 from jaxact.pomdp import PyTree
 from jaxact.spaces import Space
 

@@ -19,6 +19,7 @@ from jaxact.models.heads import ActorHead as ActorHead
 from jaxact.models.memory import GRU as GRU
 from jaxact.models.memory import LSTM as LSTM
 from jaxact.models.memory import NoMemory as NoMemory
+from jaxact.models.normalized import Normalized as Normalized
 from jaxact.models.output import ActorCriticOutput as ActorCriticOutput
 from jaxact.models.projected_grid import ProjectedGrid as ProjectedGrid
 from jaxact.models.q_network import QNetwork as QNetwork
@@ -46,6 +47,7 @@ __all__ = [
     "InstructedGrid",
     "MultipleBeliefs",
     "NoMemory",
+    "Normalized",
     "ProjectedGrid",
     "QNetwork",
     "ResNet",

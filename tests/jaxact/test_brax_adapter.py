@@ -111,6 +111,7 @@ def test_brax_trains_a_policy(adapter, env):
     from brax.training.agents.ppo import networks
     from brax.training.agents.ppo import train as ppo
 
+    adapter.restore_device_put_replicated()
     figures = []
     with jax.numpy_dtype_promotion("standard"):
         ppo.train(

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jaxact.losses import Curiosity, RandomNetworkDistillation, Rewarding
-from jaxact.losses.moments import Moments, scale_by_returns
 from jaxact.models import Concatenated, Vector
+from jaxact.moments import Moments, scale_by_returns
 from tests.windows import (
     ACTIONS,
     IS_FIRST,

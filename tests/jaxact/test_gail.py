@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jaxact.losses import GAIL, Rewarding
-from jaxact.losses.moments import Moments
 from jaxact.models import Concatenated, Vector
+from jaxact.moments import Moments
 from tests.windows import (
     ACTIONS,
     PROGRESS,
