@@ -169,7 +169,7 @@ def restore_device_put_replicated() -> None:
         copies = jax.tree.map(lambda x: jnp.stack([jnp.asarray(x)] * len(devices)), tree)
         return jax.device_put(copies, spread)
 
-    jax.device_put_replicated = device_put_replicated  # type: ignore[attr-defined, unused-ignore]
+    setattr(jax, "device_put_replicated", device_put_replicated)  # noqa: B010
 
 
 class _OwnHorizons(EpisodeWrapper):  # type: ignore[misc, unused-ignore]
