@@ -36,7 +36,8 @@ from jaxact.errors import JaxactError, unknown
 PROGRAM = "benchmarks.house_soundness"
 KINDS = {f"room-{name}": replace(ROOM, kind=name) for name in categories.ROOMS[1:]}
 STYLES: dict[str, Style] = {**KINDS, "apartment": APARTMENT, "floor": FLOOR}
-IDS = tuple(name for name in envs_jax.ids() if name.split("-")[0] in PLATFORMS)
+TITLES = {platform.title for platform in PLATFORMS.values()}
+IDS = tuple(name for name in envs_jax.ids() if name.split("-")[0] in TITLES)
 # As wide and tall as any platform's body, with the lowest camera and the shortest sight.
 WIDEST = Body(radius=0.2, height=1.8, camera_height=0.87)
 WITHIN = 1.0

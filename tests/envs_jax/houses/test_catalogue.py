@@ -12,7 +12,8 @@ from envs_jax.houses.catalogue import OBSERVATIONS, PLATFORMS
 from jaxact.errors import JaxactError
 from jaxact.overrides import numbers
 
-IDS = [name for name in envs_jax.ids() if name.split("-")[0] in PLATFORMS]
+TITLES = {platform.title for platform in PLATFORMS.values()}
+IDS = [name for name in envs_jax.ids() if name.split("-")[0] in TITLES]
 
 
 def test_every_platform_has_both_tasks():
