@@ -81,7 +81,12 @@ class MJX:
         from envs_jax.physics.models import device_model, mjx
 
         self.pomdp, self.action_space = pomdp, pomdp.action_space
-        self.mjx, self.model = mjx(), device_model(pomdp.environment.source)
+        self.mjx, self._host = mjx(), device_model(pomdp.environment.source)
+
+    @property
+    def model(self) -> Any:
+        """Their model, its arrays constants of what is traced."""
+        return jax.tree.map(jnp.asarray, self._host)
 
     def begin(self, key: Any, lanes: int) -> tuple[PyTree, PyTree]:
         """See `benchmarks.jax_loop.World`."""

@@ -2,6 +2,7 @@
 
 import importlib.util
 import sys
+import warnings
 
 import gymnasium
 import jax
@@ -28,8 +29,9 @@ GYMNASIUM = {
 def original(name, **options):
     """Returns Brax's own environment, with jitted reset and step."""
     env = brax_worlds.Simulator("brax", name, options).theirs
-    # It is traced under the promotion that Brax is written for.
-    with jax.numpy_dtype_promotion("standard"):
+    # It is traced under the promotion that Brax is written for; what it uses warns of itself.
+    with jax.numpy_dtype_promotion("standard"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
         state = jax.eval_shape(env.reset, jax.random.PRNGKey(0))
         step = jax.jit(env.step).trace(state, jnp.zeros(env.action_size, jnp.float32)).lower()
     return env, step.compile()
