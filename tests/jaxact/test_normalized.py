@@ -13,8 +13,8 @@ from jaxact.checkpoints import Checkpoints
 from jaxact.losses import PPO, SAC, Critic
 from jaxact.models import ActorCritic, Concatenated, NoMemory, Normalized
 from jaxact.models.normalized import observed
+from jaxact.moments import Moments
 from jaxact.program import Program, choose_devices
-from jaxact.rollout import rollout
 from jaxact.storages import Replay
 from jaxact.update import update
 from tests.point import point
@@ -62,25 +62,18 @@ def assert_moments(moments, values):
 
 
 def test_statistics_are_those_of_all_that_was_seen():
-    model = encoder()
+    """Of four rollouts [8, 6], on one device and dealt out to two."""
     seen = 5.0 + 3.0 * np.random.default_rng(0).normal(size=(4, 8, 6, 3)).astype(np.float32)
-    observation = {"vector": jnp.asarray(seen), "code": jnp.zeros((4, 8, 6), jnp.int32)}
-    variables = model.init(jax.random.key(0), jax.tree.map(lambda x: x[0, 0], observation))
-    assert set(variables["moments"]) == {"vector"}
-    # Four rollouts [8, 6], on one device and dealt out to two.
+    variables = both = {"vector": Moments.of_none(3)}
+    alone = jax.jit(lambda x, y: observed(x, {"vector": y, "code": None}, None))
+    devices = jax.vmap(
+        lambda x, y: observed(x, {"vector": y}, "devices"), (None, 1), axis_name="devices"
+    )
+    apart = jax.jit(lambda x, y: jax.tree.map(lambda z: z[0], devices(x, y.reshape(8, 2, 3, 3))))
     for rollouts in range(1, 5):
-        variables = observed(
-            variables, jax.tree.map(lambda x, n=rollouts: x[n - 1], observation), None
-        )
-        assert_moments(variables["moments"]["vector"], seen[:rollouts].reshape(-1, 3))
-    dealt = jax.tree.map(lambda x: jnp.stack(jnp.split(x, 2, axis=2)), observation)
-    devices = jax.vmap(lambda x, y: observed(x, y, "devices"), (None, 0), axis_name="devices")
-    both = model.init(jax.random.key(0), jax.tree.map(lambda x: x[0, 0], observation))
-    for n in range(4):
-        both = devices(both, jax.tree.map(lambda x, n=n: x[:, n], dealt))
-        both = jax.tree.map(lambda x: x[0], both)
-    for one, other in zip(jax.tree.leaves(both), jax.tree.leaves(variables), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-6)
+        variables, both = alone(variables, seen[rollouts - 1]), apart(both, seen[rollouts - 1])
+        for moments in (variables["vector"], both["vector"]):
+            assert_moments(moments, seen[:rollouts].reshape(-1, 3))
 
 
 def test_what_the_encoder_sees_is_normalised_and_clipped():
@@ -103,31 +96,26 @@ def test_sensors_are_named():
         model.clone(sensors=("c",)).init(jax.random.key(0), observation)
 
 
-def test_a_rollout_is_taken_in_after_it_was_learnt_from():
+def test_a_rollout_is_taken_in_after_it_was_learnt_from(monkeypatch):
     """Nor do gradient steps and weight decay change the statistics."""
-    small = experiment()
+    small, seen = experiment(epochs=1, minibatches=1), []
 
-    @jax.jit
-    def advance(state):
-        _, played = rollout(
-            small.pomdp,
-            lambda *inputs: small.model.apply(state.params, *inputs),
-            state.sampler,
-            state.lanes,
-            small.pipeline.rollout_length,
-        )
-        return *update(small, 0, state, {}), played.observation["vector"]
+    def recorded(variables, observation, axis_name):
+        jax.debug.callback(lambda x: seen.append(np.asarray(x)), observation["vector"])
+        return observed(variables, observation, axis_name)
 
+    monkeypatch.setattr("jaxact.update.observed", recorded)
+    advance = jax.jit(lambda state: update(small, 0, state, {}))
     state = jax.jit(lambda key: train_state.start(small, key, {}))(make_key(0))
-    before, seen = state.params, []
+    before = state.params
     assert float(moments_of(before).count) == 0.0
-    for _ in range(3):
-        state, metrics, observation = advance(state)
-        seen.append(np.asarray(observation).reshape(-1, 4))
-        assert_moments(moments_of(state.params), np.concatenate(seen))
-    # The policy that acted is the one whose ratios are taken: of one epoch's first minibatch they
-    # are 1, so that few are clipped.
-    assert float(metrics["losses/ppo/clip_fraction"]) < 0.5
+    for rollouts in range(1, 4):
+        state, metrics = jax.block_until_ready(advance(state))
+        jax.effects_barrier()
+        assert len(seen) == rollouts
+        assert_moments(moments_of(state.params), np.concatenate(seen).reshape(-1, 4))
+    # What acted is what was learnt from: in a rollout's one gradient step no ratio is clipped.
+    assert float(metrics["losses/ppo/clip_fraction"]) == 0.0
     weights = [jax.tree.leaves(params["params"]) for params in (before, state.params)]
     assert all(bool(jnp.any(a != b)) for a, b in zip(*weights, strict=True))
 
