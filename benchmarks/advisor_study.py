@@ -77,12 +77,13 @@ class Arguments:
     methods: tuple[str, ...] = ()
     """Of `examples/advisor.py`; by default those that the results lack."""
     draws: int = BEST_OF
-    """Of each method; at least ten."""
+    """Of each method; at least ten. Those that a sweep in `sweeps` has are not trained again."""
     chunk: int | None = None
     """Draws trained side by side; by default as many as fit in memory. On a CPU a draw for each
     core is the fastest here: weights stay in its cache."""
     sweeps: Path = Path("sweeps")
-    """Directory for the sweeps."""
+    """Directory for the sweeps; the newest of each method is gone on with. One of another
+    experiment, or of other ranges, is refused: choose another directory to begin anew."""
     output: Path = RESULTS
     """Directory for the results and the figure."""
 
@@ -123,6 +124,7 @@ def study(arguments: Arguments) -> None:
             draws=arguments.draws,
             chunk=arguments.chunk,
             output=arguments.sweeps,
+            resume=_newest(arguments.sweeps / experiments[name].name),
         )
         methods = _read(path) | {
             method: {
@@ -133,6 +135,11 @@ def study(arguments: Arguments) -> None:
             }
         }
         _write(arguments.world, {m: methods[m] for m in published if m in methods}, path)
+
+
+def _newest(sweeps: Path) -> Path | None:
+    """Returns the last begun of an experiment's sweeps: directories are named by time of day."""
+    return max(sweeps.iterdir(), default=None) if sweeps.is_dir() else None
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -51,6 +51,21 @@ def test_methods_are_added_to_those_there_are(tmp_path, monkeypatch):
     assert (tmp_path / "advisor_poisoned_doors.png").stat().st_size > 0
 
 
+def test_the_newest_sweep_of_a_method_is_gone_on_with(tmp_path, monkeypatch):
+    resumed = []
+
+    def sweep(experiment, space, **options):
+        resumed.append(options["resume"])
+        return SweepResult(draws(0.5), None)
+
+    monkeypatch.setattr(jaxact, "sweep", sweep, raising=False)
+    newest = tmp_path / "advisor_poisoned_doors_bc" / "2026-02-01_00-00-00"
+    for directory in (newest, newest.with_name("2026-01-31_00-00-00")):
+        directory.mkdir(parents=True)
+    study(Arguments("poisoned_doors", ("bc", "ppo"), sweeps=tmp_path, output=tmp_path))
+    assert resumed == [newest, None]
+
+
 def test_what_cannot_be_searched():
     with pytest.raises(JaxactError, match="unknown method 'ppoo'; the nearest is 'ppo'"):
         study(Arguments("lava_crossing", ("ppoo",)))
