@@ -14,7 +14,7 @@ from jaxact.storages import Replay
 
 _POMDP = envs_jax.make("Physics-Reach-v0")
 _ENCODER = Concatenated({name: Vector((128, 128)) for name in _POMDP.sensors})
-_PPO_STEPS, _SAC_STEPS = 2_000_000, 200_000
+_PPO_STEPS, _SAC_STEPS = 4_000_000, 300_000
 
 _replay = Replay(
     losses={"sac": SAC(critic=Critic(_ENCODER, (128,)), discount=0.98, target=Target(rate=0.01))},

@@ -177,7 +177,8 @@ def reach(*, horizon: int = 100) -> POMDP:
     """
     world = arm()
     task = Reach(world)
-    sensors: dict[str, Sensor] = {"joints": JointSensor(world), "target": TargetSensor(task)}
+    joints = JointSensor(world, on_circle=True)
+    sensors: dict[str, Sensor] = {"joints": joints, "target": TargetSensor(task)}
     return POMDP(world, task, AnyPose(world, task, horizon), sensors)
 
 

@@ -21,24 +21,31 @@ class JointSensor(Sensor):
       world: whose joints they are.
       skip: how many of the first positions are left out, such as how far one has come.
       fastest: velocities are clipped to ± this.
+      on_circle: positions are angles, and are given as all their cosines and then all their sines:
+        for joints that turn without end, of which a full turn is none.
     """
 
     world: Physics
     skip: int = 0
     fastest: float = math.inf
+    on_circle: bool = False
 
     @property
     def space(self) -> Box:
         """Numbers without bounds."""
         model = self.world.model
-        return Box(-math.inf, math.inf, (model.nq - self.skip + model.nv,))
+        positions = model.nq - self.skip
+        return Box(-math.inf, math.inf, (positions * (1 + self.on_circle) + model.nv,))
 
     def observe(self, state: PhysicsState, task_state: PyTree) -> jax.Array:
         """Returns the reading."""
         del task_state
         bound = jnp.float32(self.fastest)
         velocity = jnp.clip(state.velocity, -bound, bound)
-        return jnp.concatenate([state.position[self.skip :], velocity])
+        position = state.position[self.skip :]
+        if self.on_circle:
+            position = jnp.concatenate([jnp.cos(position), jnp.sin(position)])
+        return jnp.concatenate([position, velocity])
 
 
 @dataclass(frozen=True)

@@ -84,6 +84,10 @@ def test_sensors_read_what_the_model_measures(start):
     np.testing.assert_allclose(height.observe(start, None), 0.5, atol=1e-5)
     falling = run(start, [-1, 1], 10)
     np.testing.assert_allclose(joints.observe(falling, None), [0.042, -1, 0.4], rtol=1e-4)
+    turned = JointSensor(WORLD, skip=1, on_circle=True)
+    assert turned.space.shape == (4,)
+    expected = [np.cos(0.042), np.sin(0.042), -9.81 * 0.2, 0.4]
+    np.testing.assert_allclose(turned.observe(falling, None), expected, rtol=1e-4)
     np.testing.assert_allclose(touch.observe(falling, None), 0)
     lying = run(falling, [-1, 0], 60)
     np.testing.assert_allclose(body.observe(lying, None)[2:], [0.1, 1, 0, 0, 0], atol=5e-3)
