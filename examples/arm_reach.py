@@ -31,12 +31,12 @@ experiments = {
         pomdp=_POMDP,
         model=ActorCritic(_POMDP.action_space, _ENCODER, NoMemory()),
         pipeline=TrainingPipeline(
-            stages=(Stage(losses={"ppo": PPO(clip=0.2, entropy=0.0)}, steps=_PPO_STEPS),),
+            stages=(Stage(losses={"ppo": PPO(clip=0.2, entropy=0.003)}, steps=_PPO_STEPS),),
             lanes=128,
             rollout_length=32,
             epochs=8,
             minibatches=4,
-            learning_rate=Linear(1e-3, 5e-5, steps=_PPO_STEPS),
+            learning_rate=Linear(5e-4, 2e-5, steps=_PPO_STEPS),
         ),
     ),
     "sac": Experiment(
