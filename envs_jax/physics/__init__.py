@@ -2,7 +2,8 @@
 
 `Physics` is the environment; its starts and sensors are for any model. There are ids of Gymnasium's
 MuJoCo environments, with its observations and rewards, and of robots of our own: a rover that
-drives to points among boxes, by moves or by velocities, and an arm that reaches for targets.
+drives to points among boxes, by moves or by velocities, an arm that reaches for targets, and a hand
+over a table that reaches, pushes, and picks and places.
 """
 
 from envs_jax.physics.catalogue import gymnasium_body as gymnasium_body
@@ -12,6 +13,7 @@ from envs_jax.physics.environment import PhysicsState as PhysicsState
 from envs_jax.physics.environment import Variation as Variation
 from envs_jax.physics.locomotion import NoisyStart as NoisyStart
 from envs_jax.physics.locomotion import RunForward as RunForward
+from envs_jax.physics.manipulation import MoveObject as MoveObject
 from envs_jax.physics.randomization import Randomized as Randomized
 from envs_jax.physics.reach import Reach as Reach
 from envs_jax.physics.sensors import BodySensor as BodySensor
@@ -23,6 +25,7 @@ __all__ = [
     "Controller",
     "JointSensor",
     "ModelSensor",
+    "MoveObject",
     "NoisyStart",
     "Physics",
     "PhysicsState",

@@ -1,4 +1,4 @@
-"""How physics worlds are put together: Gymnasium's, the rover's and the arm's, and their ids."""
+"""How physics worlds are put together: Gymnasium's and those of our own robots, and their ids."""
 
 from __future__ import annotations
 
@@ -10,12 +10,20 @@ from envs_jax.houses.camera import Camera
 from envs_jax.houses.vision import DepthScale, DepthSensor, RGBSensor
 from envs_jax.physics.cameras import RoverCamera
 from envs_jax.physics.environment import Physics
+from envs_jax.physics.hand import GRIP, hand
 from envs_jax.physics.locomotion import (
     Balance,
     BalanceSensor,
     BalanceTwo,
     NoisyStart,
     RunForward,
+)
+from envs_jax.physics.manipulation import (
+    IN_THE_AIR,
+    ON_THE_TABLE,
+    GapSensor,
+    MoveObject,
+    OnTable,
 )
 from envs_jax.physics.models import gymnasium_asset
 from envs_jax.physics.navigation import (
@@ -169,17 +177,62 @@ def point_nav(
     return POMDP(world, task, ClutteredArena(world, task, horizon=horizon), sensors)
 
 
-def reach(*, horizon: int = 100) -> POMDP:
-    """Builds Reach for an arm of three joints, moved by torques.
+def reach(*, robot: str = "arm", horizon: int | None = None) -> POMDP:
+    """Builds Reach for an arm of three joints, moved by torques, or for the hand over a table.
 
     Args:
-      horizon: steps of 40 ms.
+      robot: "arm" or "hand".
+      horizon: steps; by default 100 of 40 ms for the arm, and 500 of 20 ms for the hand.
+
+    Raises:
+      JaxactError: there is no such robot.
     """
-    world = arm()
-    task = Reach(world)
-    joints = JointSensor(world, on_circle=True)
+    sampler: TaskSampler
+    if robot == "arm":
+        world = arm()
+        task = Reach(world)
+        sampler = AnyPose(world, task, 100 if horizon is None else horizon)
+    elif robot == "hand":
+        world = hand()
+        task = Reach(world, GRIP)
+        sampler = OnTable(world, task, horizon=500 if horizon is None else horizon)
+    else:
+        raise unknown("robot that reaches", robot, ("arm", "hand"))
+    joints = JointSensor(world, on_circle=robot == "arm")
     sensors: dict[str, Sensor] = {"joints": joints, "target": TargetSensor(task)}
-    return POMDP(world, task, AnyPose(world, task, horizon), sensors)
+    return POMDP(world, task, sampler, sensors)
+
+
+def push(*, horizon: int = 500) -> POMDP:
+    """Builds Push: the hand is to bring the cube within 0.05 m of a place on the table.
+
+    Args:
+      horizon: steps of 20 ms.
+    """
+    world = hand()
+    task = MoveObject(world)
+    return _move_object(task, OnTable(world, task, targets=ON_THE_TABLE, horizon=horizon))
+
+
+def pick_place(*, horizon: int = 500) -> POMDP:
+    """Builds PickPlace: the hand is to bring the cube within 0.07 m of a place in the air.
+
+    Args:
+      horizon: steps of 20 ms.
+    """
+    world = hand()
+    task = MoveObject(world, radius=0.07, lift=0.5)
+    return _move_object(task, OnTable(world, task, targets=IN_THE_AIR, horizon=horizon))
+
+
+def _move_object(task: MoveObject, sampler: OnTable) -> POMDP:
+    world = task.world
+    sensors: dict[str, Sensor] = {
+        "joints": JointSensor(world),
+        "gap": GapSensor(task),
+        "target": TargetSensor(task),
+    }
+    return POMDP(world, task, sampler, sensors)
 
 
 def _register(name: str) -> None:
@@ -193,3 +246,5 @@ for _name in BODIES:
     _register(_name)
 register("Physics-PointNav-v0", point_nav)
 register("Physics-Reach-v0", reach)
+register("Physics-Push-v0", push)
+register("Physics-PickPlace-v0", pick_place)

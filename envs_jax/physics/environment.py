@@ -17,7 +17,7 @@ import numpy as np
 
 from envs_jax.physics.models import device_model, host_model, mjx
 from jaxact.errors import JaxactError, check_at_least, unknown
-from jaxact.pomdp import Environment, PyTree
+from jaxact.pomdp import POMDP, Environment, PyTree
 from jaxact.spaces import Box, Space
 
 # What MuJoCo takes for a simulation that has come apart (mjMAXVAL).
@@ -263,10 +263,14 @@ class Physics(Environment):
         """Returns the controls, float32 [nu], that an action of the actuators' own stands for."""
         low, high = self._bounds
         action = jnp.clip(jnp.asarray(action, jnp.float32), jnp.float32(low), jnp.float32(high))
-        lows, highs = jnp.asarray(self.model.actuator_ctrlrange.T, jnp.float32)
         if low == self.model.actuator_ctrlrange[0, 0]:
             return action
-        return lows + (action + 1.0) * (highs - lows) / 2
+        return self.stretched(action)
+
+    def stretched(self, shares: jax.Array) -> jax.Array:
+        """Returns controls float32 [nu] for numbers in [−1, 1], each of its actuator's range."""
+        lows, highs = jnp.asarray(self.model.actuator_ctrlrange.T, jnp.float32)
+        return lows + (shares + 1.0) * (highs - lows) / 2
 
     def _on_device(self, variation: Variation | None) -> Any:
         model = jax.tree.map(jnp.asarray, device_model(self.source))
@@ -288,6 +292,25 @@ class Physics(Environment):
         if np.all(ranges == ranges[0]):
             return float(ranges[0, 0]), float(ranges[0, 1])
         return -1.0, 1.0
+
+
+def check_model(pomdp: POMDP, world: Physics, name: str) -> None:
+    """Refuses an environment of another model than a part of the POMDP has.
+
+    Args:
+      pomdp: whose environment it is.
+      world: the part's.
+      name: what the part calls it, such as "task.world".
+
+    Raises:
+      JaxactError: the models differ.
+    """
+    environment = pomdp.environment
+    if not isinstance(environment, Physics) or environment.source != world.source:
+        raise JaxactError(
+            f"{name} is of another model than the environment, in which what it names may be "
+            "elsewhere: give both the same"
+        )
 
 
 def _subtree_sum(model: Any, values: jax.Array) -> jax.Array:

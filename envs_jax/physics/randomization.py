@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
-from envs_jax.physics.environment import Physics, PhysicsState, Variation
+from envs_jax.physics.environment import Physics, PhysicsState, Variation, check_model
 from jaxact.errors import JaxactError
 from jaxact.pomdp import POMDP, Episode, FinishedEpisodes, PyTree, TaskSampler
 
@@ -104,8 +104,4 @@ class Randomized(TaskSampler):
 
     def check(self, pomdp: POMDP) -> None:
         """Refuses an environment of another model."""
-        world = pomdp.environment
-        if not isinstance(world, Physics) or world.source != self.world.source:
-            raise JaxactError(
-                "sampler.world is of another model than the environment: give both the same"
-            )
+        check_model(pomdp, self.world, "sampler.world")

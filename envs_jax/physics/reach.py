@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
 
-from envs_jax.physics.environment import Physics, PhysicsState
-from jaxact.errors import JaxactError
+from envs_jax.physics.environment import Physics, PhysicsState, check_model
 from jaxact.pomdp import POMDP, Episode, Outcome, PyTree, Sensor, Task, TaskSampler
 from jaxact.spaces import Box
 
@@ -123,12 +123,7 @@ class Reach(Task):
 
     def check(self, pomdp: POMDP) -> None:
         """Refuses an environment of another model, in which the site would be another."""
-        world = pomdp.environment
-        if not isinstance(world, Physics) or world.source != self.world.source:
-            raise JaxactError(
-                f"task.world is of another model than the environment, in which {self.site!r} may "
-                "be elsewhere: give both the same"
-            )
+        check_model(pomdp, self.world, "task.world")
 
 
 @dataclass(frozen=True)
@@ -162,22 +157,39 @@ class AnyPose(TaskSampler):
         return Episode(state, self.task.start(state, target), jnp.int32(self.horizon))
 
 
+class Aim(Protocol):
+    """The state of a task with a target, float32 [3]."""
+
+    @property
+    def target(self) -> jax.Array:
+        """Metres, in the world."""
+
+
+class Aimed(Protocol):
+    """A task with something to be brought to its target."""
+
+    def place(self, state: PhysicsState) -> jax.Array:
+        """Returns where that is, float32 [3]."""
+
+
 @dataclass(frozen=True)
 class TargetSensor(Sensor):
-    """Where the target is from the world's origin, and from the site, metres, float32 [6].
+    """Where the target is from the world's origin, and from what is to be there.
+
+    It is float32 [6], metres.
 
     Attributes:
-      task: whose site it is.
+      task: a `Reach` with its site, or any other that is `Aimed`.
     """
 
-    task: Reach
+    task: Aimed
 
     @property
     def space(self) -> Box:
         """Numbers without bounds."""
         return Box(-math.inf, math.inf, (6,))
 
-    def observe(self, state: PhysicsState, task_state: ReachState) -> jax.Array:
+    def observe(self, state: PhysicsState, task_state: Aim) -> jax.Array:
         """Returns the reading."""
         gap = task_state.target - self.task.place(state)
         return jnp.concatenate([task_state.target, gap])
