@@ -8,6 +8,13 @@ from functools import partial
 
 from envs_jax.houses.camera import Camera
 from envs_jax.houses.vision import DepthScale, DepthSensor, RGBSensor
+from envs_jax.physics.arm_point_nav import (
+    ArmPointNav,
+    ArmSensor,
+    TablesSensor,
+    TwoTables,
+    WaysSensor,
+)
 from envs_jax.physics.cameras import RoverCamera
 from envs_jax.physics.environment import Physics
 from envs_jax.physics.hand import GRIP, hand
@@ -25,6 +32,7 @@ from envs_jax.physics.manipulation import (
     MoveObject,
     OnTable,
 )
+from envs_jax.physics.mobile_arm import mobile_arm
 from envs_jax.physics.models import gymnasium_asset
 from envs_jax.physics.navigation import (
     ClutteredArena,
@@ -235,6 +243,25 @@ def _move_object(task: MoveObject, sampler: OnTable) -> POMDP:
     return POMDP(world, task, sampler, sensors)
 
 
+def arm_point_nav(*, easy: bool = False, disturbance: float = 0.0, horizon: int = 200) -> POMDP:
+    """Builds ManipulaTHOR's ArmPointNav for a robot with an arm between two tables.
+
+    Args:
+      easy: the object is taken by itself where the hand is near it, and the episode ends by itself
+        at the goal.
+      disturbance: cost of each metre by which other balls are moved.
+      horizon: steps.
+    """
+    world = mobile_arm(easy=easy)
+    task = ArmPointNav(world, disturbance=disturbance)
+    sensors: dict[str, Sensor] = {
+        "ways": WaysSensor(task),
+        "arm": ArmSensor(),
+        "tables": TablesSensor(),
+    }
+    return POMDP(world, task, TwoTables(world, task, horizon), sensors)
+
+
 def _register(name: str) -> None:
     def build(*, horizon: int | None = None) -> POMDP:
         return gymnasium_body(name, horizon=horizon)
@@ -248,3 +275,4 @@ register("Physics-PointNav-v0", point_nav)
 register("Physics-Reach-v0", reach)
 register("Physics-Push-v0", push)
 register("Physics-PickPlace-v0", pick_place)
+register("Physics-ArmPointNav-v0", arm_point_nav)
