@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from examples import advisor, furnmove, stag_hunt
+from examples import advisor, furnmove, hand_manipulation, physics_locomotion, stag_hunt
 from jaxact import train
 from jaxact.collect import collect
 from jaxact.loading import EXAMPLES, load_experiment, shipped_examples
@@ -69,6 +69,14 @@ def test_all_of_advisors_experiments_can_work():
         paths = advisor.search_space(name)
         drawn = [x for key in paths for x in (key if isinstance(key, tuple) else (key,))]
         assert set(drawn) <= numbers(experiment).keys()
+
+
+@pytest.mark.parametrize("example", [hand_manipulation, physics_locomotion])
+def test_all_of_a_bodys_experiments_can_work(example):
+    for experiment in example.experiments.values():
+        experiment.check()
+    names = {experiment.name for experiment in example.experiments.values()}
+    assert len(names) == len(example.experiments)
 
 
 def test_stag_hunt_beside_past_selves_can_work():
