@@ -2,8 +2,8 @@
 
 `Physics` is the environment; its starts and sensors are for any model. There are ids of Gymnasium's
 MuJoCo environments, with its observations and rewards, and of robots of our own: a rover that
-drives to points among boxes, by moves or by velocities, an arm that reaches for targets, a hand over
-a table that reaches, pushes, and picks and places, and a mobile arm that fetches and carries.
+drives to points among boxes, by moves or by velocities, an arm that reaches for targets, a hand
+over a table that reaches, pushes, and picks and places, and a mobile arm that fetches and carries.
 """
 
 from envs_jax.physics.catalogue import gymnasium_body as gymnasium_body
