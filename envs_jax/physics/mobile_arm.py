@@ -29,17 +29,19 @@ BASE, BALL = 0.2, 0.04
 MAGNET = 0.06
 # The joints of the base, x, y and yaw, and those of the arm; and metres and radians a second.
 _BASE_JOINTS, _JOINTS = 3, 7
-_FASTEST = (1.0, 1.0, 4.0, 0.5, 0.5, 0.5, 0.5)
+_FASTEST = (2.5, 2.5, 10.0, 1.0, 1.0, 1.0, 1.0)
+# Speed for each metre or radian that is left to go, 1/s.
+_STIFFNESS = 24.0
 _ARM_STEP = 0.05
 # Newtons, or newton metres, for a metre or radian a second.
 _STRENGTHS = {
-    "x": 400,
-    "y": 400,
-    "yaw": 40,
-    "arm height": 100,
-    "arm x": 60,
-    "arm y": 60,
-    "arm z": 60,
+    "x": 600,
+    "y": 600,
+    "yaw": 80,
+    "arm height": 150,
+    "arm x": 80,
+    "arm y": 80,
+    "arm z": 80,
 }
 
 
@@ -72,7 +74,7 @@ def mobile_arm_model() -> str:
     )
     # As much force for a metre a second that is told as the damping takes: the speed is held.
     motors = "".join(
-        f'<motor name="{joint}" joint="{joint}" gear="{strength}" ctrlrange="-4 4"/>'
+        f'<motor name="{joint}" joint="{joint}" gear="{strength}" ctrlrange="-10 10"/>'
         for joint, strength in _STRENGTHS.items()
     )
     magnet = "".join(
@@ -206,15 +208,15 @@ class ArmMoves(Controller):
         del velocity
         fastest = jnp.array(_FASTEST, jnp.float32)
         left = self.end(action, before.position) - position[:_JOINTS]
-        speeds = jnp.clip(12 * left, -fastest, fastest)
+        speeds = jnp.clip(jnp.float32(_STIFFNESS) * left, -fastest, fastest)
         is_near = jnp.linalg.norm(gap(world, before)) < jnp.float32(MAGNET + BALL)
         takes = is_near & (self.is_action(action, "pickup") | self.easy)
         return jnp.concatenate([speeds, jnp.full(3, jnp.where(takes, jnp.float32(10), 0))])
 
 
 def mobile_arm(*, easy: bool = False) -> Physics:
-    """Returns the robot's world: each of its steps takes 0.4 s."""
-    return Physics(mobile_arm_model(), 20, ArmMoves(easy))
+    """Returns the robot's world: each of its steps takes 0.2 s."""
+    return Physics(mobile_arm_model(), 10, ArmMoves(easy))
 
 
 def gap(world: Physics, state: PhysicsState) -> jax.Array:
