@@ -33,6 +33,8 @@ MODEL = """
 </mujoco>
 """
 H, W = 48, 64
+ANGLES = (0.0, 0.15, -0.3)
+KINDS = ("depth", "rgb", "segmentation")
 
 
 @pytest.fixture(scope="module")
@@ -40,13 +42,23 @@ def world():
     return Physics(MODEL)
 
 
-def test_pictures_are_what_mujocos_rays_hit(world):
-    camera = GeomCamera(world, "eye", height=H, width=W)
-    states = jax.vmap(lambda q: world.start(q[None], jnp.zeros(1)))(jnp.array([0.0, 0.15, -0.3]))
-    depths, geoms = jax.jit(jax.vmap(camera.hits))(states)
+@pytest.fixture(scope="module")
+def pictures(world):
+    """All that is seen at each angle, from one program."""
+
+    def see(angle):
+        state = world.start(angle[None], jnp.zeros(1))
+        seen = {kind: GeomCamera(world, "eye", kind, H, W).observe(state, ()) for kind in KINDS}
+        return {**seen, "hits": GeomCamera(world, "eye", height=H, width=W).hits(state)}
+
+    return jax.tree.map(np.asarray, jax.jit(jax.vmap(see))(jnp.array(ANGLES)))
+
+
+def test_pictures_are_what_mujocos_rays_hit(world, pictures):
+    depths, geoms = pictures["hits"]
     data = mujoco.MjData(world.model)
     half = math.tan(math.radians(60) / 2)
-    for lane, angle in enumerate((0.0, 0.15, -0.3)):
+    for lane, angle in enumerate(ANGLES):
         data.qpos[:] = angle
         mujoco.mj_forward(world.model, data)
         turned, hit = data.cam_xmat[0].reshape(3, 3), np.zeros(1, np.int32)
@@ -62,16 +74,16 @@ def test_pictures_are_what_mujocos_rays_hit(world):
         assert {0, 1, 2, 3, 4, 6} <= set(ids.ravel())
 
 
-def test_kinds_of_pictures(world):
-    state = world.start(jnp.zeros(1), jnp.zeros(1))
-    for kind in ("depth", "rgb", "segmentation"):
-        camera = GeomCamera(world, "eye", kind, 8, 8)
-        picture = camera.observe(state, ())
-        assert picture.shape == camera.space.shape
-        assert picture.dtype == camera.space.dtype
-    colors = GeomCamera(world, "eye", "rgb", 8, 8).observe(state, ())
-    geoms = GeomCamera(world, "eye", "segmentation", 8, 8).observe(state, ())[..., 0]
-    assert np.all(np.asarray(colors)[np.asarray(geoms) == 0] == (0, 0, 255))
+def test_kinds_of_pictures(world, pictures):
+    for kind in KINDS:
+        space = GeomCamera(world, "eye", kind, H, W).space
+        assert pictures[kind].shape == (len(ANGLES), *space.shape)
+        assert pictures[kind].dtype == space.dtype
+    depth, geoms = pictures["hits"]
+    assert np.array_equal(pictures["depth"][..., 0], depth)
+    assert np.array_equal(pictures["segmentation"][..., 0], geoms)
+    assert np.all(pictures["rgb"][geoms == 0] == (0, 0, 255))
+    assert np.all(pictures["rgb"][geoms == -1] == 0)
 
 
 def test_what_cannot_be_rendered_is_refused(world):
