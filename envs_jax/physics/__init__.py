@@ -11,6 +11,7 @@ from envs_jax.physics.environment import Controller as Controller
 from envs_jax.physics.environment import Physics as Physics
 from envs_jax.physics.environment import PhysicsState as PhysicsState
 from envs_jax.physics.environment import Variation as Variation
+from envs_jax.physics.geom_camera import GeomCamera as GeomCamera
 from envs_jax.physics.locomotion import NoisyStart as NoisyStart
 from envs_jax.physics.locomotion import RunForward as RunForward
 from envs_jax.physics.manipulation import MoveObject as MoveObject
@@ -23,6 +24,7 @@ from envs_jax.physics.sensors import ModelSensor as ModelSensor
 __all__ = [
     "BodySensor",
     "Controller",
+    "GeomCamera",
     "JointSensor",
     "ModelSensor",
     "MoveObject",

@@ -176,7 +176,7 @@ class Physics(Environment):
         """Returns the number of a named part.
 
         Args:
-          kind: "body", "joint", "geom", "site", "sensor" or "actuator".
+          kind: "body", "joint", "geom", "site", "cam", "sensor" or "actuator".
           name: in the model.
 
         Raises:
