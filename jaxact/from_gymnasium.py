@@ -27,7 +27,7 @@ from jaxact.simulated import (
     SimulatedSensor,
     SimulatedTask,
 )
-from jaxact.simulators import Reading
+from jaxact.simulator_hosts import Reading
 
 # What the observation is called where it is one array without a name.
 OBSERVATION = "observation"
@@ -41,6 +41,8 @@ def from_gymnasium(
     *,
     simulators: int = 8,
     threads: int = 0,
+    processes: int = 0,
+    timeout: float = 600.0,
     horizon: int | None = None,
     success_return: float | None = None,
     metrics: Sequence[str] = (),
@@ -99,10 +101,15 @@ def from_gymnasium(
         metrics=tuple(metrics),
         simulators=simulators,
         threads=threads,
+        processes=processes,
+        timeout=timeout,
+        kind=_kind(probe),
         names=tuple(action_names),
         make_held_out=None if held_out is None else functools.partial(_make, simulator, held_out),
     )
     world.pool(held_out=False).adopt(simulator(probe))
+    # What cannot be sent to a process is refused here.
+    world.pool(held_out=True)
     episodes = SimulatedEpisodes(world, NEVER if horizon is None else horizon, held_out_seeds)
     if task is None:
         task = SimulatedTask(float("inf") if threshold is None else float(threshold))
@@ -115,7 +122,7 @@ def from_gymnasium(
 
 @dataclass
 class GymnasiumSimulator:
-    """A Gymnasium environment as `jaxact.simulators.Simulator`.
+    """A Gymnasium environment as `jaxact.simulator_hosts.Simulator`.
 
     Attributes:
       environment: steps and resets.
@@ -218,6 +225,13 @@ def _parts(space: spaces.Space) -> dict[str, spaces.Space]:
                 "it, for example with gymnasium.wrappers.FlattenObservation"
             )
     return parts
+
+
+def _kind(environment: gymnasium.Env[Any, Any]) -> str:
+    """Returns what errors call an environment: its id, or the name of its class."""
+    if environment.spec is not None:
+        return environment.spec.id
+    return type(environment.unwrapped).__name__
 
 
 def _is_image(space: spaces.Space) -> bool:
