@@ -27,7 +27,7 @@ import jax
 import jax.numpy as jnp
 
 from envs_jax.registry import register
-from jaxact.errors import JaxactError, unknown
+from jaxact.errors import JaxactError, check_at_least, unknown
 from jaxact.frozen import FrozenMapping
 from jaxact.pomdp import POMDP, Environment, Episode, Outcome, PyTree, Sensor, Task, TaskSampler
 from jaxact.spaces import Box
@@ -144,6 +144,9 @@ class Resets(TaskSampler):
 
     simulator: Simulator
     horizon: int = HORIZON
+
+    def __post_init__(self) -> None:
+        check_at_least(1, "a simulator's episodes", horizon=self.horizon)
 
     def sample(self, key: jax.Array, sampler_state: PyTree) -> Episode:
         """Draws one episode; the task's state is the return so far."""

@@ -238,6 +238,10 @@ class SimulatedEpisodes(TaskSampler):
     held_out_seeds: int = 0
     is_held_out: bool = False
 
+    def __post_init__(self) -> None:
+        check_at_least(1, "simulated episodes", horizon=self.horizon)
+        check_at_least(0, "simulated episodes", held_out_seeds=self.held_out_seeds)
+
     @property
     def held_out(self) -> TaskSampler:
         """The same with simulators of their own, or with the list of seeds."""

@@ -173,7 +173,7 @@ def serve(descriptor: int) -> None:
     connection = Connection(descriptor)
     made: dict[int, Simulator] = {}
     try:
-        make = cloudpickle.loads(connection.recv_bytes())
+        make = _unpickled(connection.recv_bytes())
         while True:
             for number, request in connection.recv():
                 if request is None:
@@ -190,6 +190,19 @@ def serve(descriptor: int) -> None:
     finally:
         for number in tuple(made):
             _close(made, number)
+
+
+def _unpickled(pickled: bytes) -> Callable[[], Simulator]:
+    """Returns what makes a simulator; if it cannot be had here, what says so for each."""
+    try:
+        make: Callable[[], Simulator] = cloudpickle.loads(pickled)
+    except Exception as error:
+        failure = error
+
+        def make() -> Simulator:
+            raise failure
+
+    return make
 
 
 def _close(made: dict[int, Simulator], number: int) -> None:

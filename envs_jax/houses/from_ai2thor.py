@@ -73,7 +73,8 @@ def from_ai2thor(
       **settings: its other arguments.
 
     Returns:
-      The POMDP; one controller is started at once, the others when they are needed.
+      The POMDP; one controller is started at once, and one for evaluation if that is elsewhere; the
+      others when they are needed.
 
     Raises:
       JaxactError: no such platform, task or view, or AI2-THOR is not installed.

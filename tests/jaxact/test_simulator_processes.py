@@ -1,5 +1,6 @@
 """Simulators in processes of their own: the same numbers, and no process that is left behind."""
 
+import importlib
 import os
 import signal
 import subprocess
@@ -17,8 +18,8 @@ import pytest
 from jaxact import JaxactError
 from jaxact.from_gymnasium import from_gymnasium
 from jaxact.loading import _load_file
-from jaxact.simulator_hosts import Reading
-from jaxact.simulator_processes import ProcessHost, RemoteError, _pickled
+from jaxact.simulator_hosts import Reading, answer
+from jaxact.simulator_processes import ProcessHost, RemoteError, _pickled, _unpickled
 from jaxact.simulators import explained
 from tests.jaxact.test_from_gymnasium import play
 from tests.simulated import Countdown, countdown
@@ -142,6 +143,18 @@ def test_what_an_experiment_file_defines_is_sent_whole(tmp_path, monkeypatch):
     sent = _pickled(module.Own)
     monkeypatch.delitem(sys.modules, "own_world")
     assert cloudpickle.loads(sent)().again().action_space.n == 2
+
+
+def test_what_another_process_cannot_import_is_told(tmp_path, monkeypatch):
+    """When it is asked for, in a sentence."""
+    (tmp_path / "passing.py").write_text("def make(): ...")
+    monkeypatch.syspath_prepend(tmp_path)
+    sent = _pickled(importlib.import_module("passing").make)
+    (tmp_path / "passing.py").unlink()
+    importlib.invalidate_caches()
+    monkeypatch.delitem(sys.modules, "passing")
+    said = answer({}, _unpickled(sent), 0, 5)
+    assert str(said) == "ModuleNotFoundError: No module named 'passing'"
 
 
 def test_bad_input_is_answered_in_a_sentence():

@@ -118,7 +118,9 @@ def test_a_simulation_that_comes_apart_ends_the_episode_where_it_was_sound(start
             "cannot read this MJCF: .*gone.stl",
         ),
         ("<mujoco/>", "no actuators"),
-        (BALL.replace(' ctrlrange="-2 2"', ""), "'push' has no ctrlrange"),
+        (BALL.replace(' ctrlrange="-2 2"', ""), r"'push' \(number 1\) has no ctrlrange"),
+        (BALL.replace('timestep="0.01"', 'timestep="0"'), "timestep is 0.0, and has to be above 0"),
+        (None, "needs an MJCF file's path, or its text, not None"),
         (BALL.replace('timestep="0.01"', 'integrator="implicit"'), "MJX cannot simulate"),
     ],
 )
@@ -134,3 +136,30 @@ def test_names_that_the_model_lacks_are_refused():
         ModelSensor(WORLD, "tuch")
     with pytest.raises(JaxactError, match="substeps of a physics world must be at least 1, got 0"):
         Physics(BALL, substeps=0)
+    with pytest.raises(JaxactError, match="substeps of a physics world are whole, not"):
+        Physics(BALL, substeps=1.5)
+    with pytest.raises(JaxactError, match=r"a class of envs_jax.physics.Controller, not 'moves'"):
+        Physics(BALL, controller="moves")
+    with pytest.raises(JaxactError, match="kind of a model's parts 'bdy'; the nearest is 'body'"):
+        WORLD.index("bdy", "ball")
+    with pytest.raises(JaxactError, match="horizon of a noisy start's episodes must be at least 1"):
+        NoisyStart(WORLD, 0.0, 0.0, horizon=0)
+
+
+def test_numbers_that_the_model_has_no_joints_or_actuators_for_are_refused():
+    two, three = jnp.zeros(2, jnp.float32), jnp.zeros(3, jnp.float32)
+    with pytest.raises(
+        JaxactError, match=r"velocity in this model has the shape \(2,\), not \(3,\)"
+    ):
+        jax.eval_shape(WORLD.start, two, three)
+    with pytest.raises(
+        JaxactError, match=r"the action in this model has the shape \(2,\), not \(3,\)"
+    ):
+        jax.eval_shape(WORLD.step, KEY, jax.eval_shape(WORLD.start, two, two), three)
+
+
+def test_a_model_may_be_a_path_or_begin_with_the_mark_of_its_byte_order(tmp_path):
+    path = tmp_path / "ball.xml"
+    path.write_text(BALL)
+    assert Physics(path).source == str(path)
+    assert Physics("\ufeff" + BALL).model.nu == 2
