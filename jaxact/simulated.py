@@ -103,8 +103,10 @@ class Simulated(Environment):
                 f"{self.threads} threads and {self.processes} processes exclude each other: each "
                 "process steps its own simulators one after the other"
             )
-        if not self.timeout > 0:
-            raise JaxactError(f"timeout of a simulated world must be above 0, got {self.timeout}")
+        if not isinstance(self.timeout, int | float) or not self.timeout > 0:
+            raise JaxactError(
+                f"timeout of a simulated world must be a number above 0, got {self.timeout!r}"
+            )
 
     @property
     def action_names(self) -> tuple[str, ...]:
@@ -146,8 +148,20 @@ class Simulated(Environment):
         return self._state(ticket, jnp.zeros((), jnp.float32), *seen)
 
     def step(self, key: jax.Array, state: SimulatedState, action: PyTree) -> SimulatedState:
-        """Steps the simulator; one whose episode is over stays as it is, and earns nothing."""
+        """Steps the simulator; one whose episode is over stays as it is, and earns nothing.
+
+        Raises:
+          JaxactError: the action has the shape of none.
+        """
         del key
+        for given, expected in zip(
+            jax.tree.leaves(action), jax.tree.leaves(self.actions.structure), strict=True
+        ):
+            if jnp.shape(given) != expected.shape:
+                raise JaxactError(
+                    f"an action of {self.kind} has the shape {expected.shape}, not "
+                    f"{jnp.shape(given)}"
+                )
 
         @together
         def step(tickets: jax.Array, active: jax.Array, *actions: jax.Array) -> PyTree:

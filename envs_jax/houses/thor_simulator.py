@@ -5,9 +5,9 @@ It judges nothing: rewards are zero, and only "end" terminates. What a task need
 how far the goal is along its navigation mesh.
 
 Sources: AI2-THOR's documentation of navigation and of its events' metadata; ai2thor 5.0.0, whose
-simulator wants the end of a path as `target` (https://github.com/allenai/ai2thor/issues/1155), while
-its own `ai2thor.util.metrics` still says x, y and z; AllenAct's `RoboThorEnvironment` for which
-errors are allowed.
+simulator wants the end of a path as `target` (https://github.com/allenai/ai2thor/issues/1155),
+though its own `ai2thor.util.metrics` still says x, y and z; AllenAct's `RoboThorEnvironment` for
+which errors are allowed.
 """
 
 from __future__ import annotations

@@ -145,8 +145,6 @@ class Physics(Environment):
             raise JaxactError(
                 f"a physics world needs an MJCF file's path, or its text, not {self.source!r}"
             )
-        if not isinstance(self.substeps, int):
-            raise JaxactError(f"substeps of a physics world are whole, not {self.substeps!r}")
         check_at_least(1, "a physics world", substeps=self.substeps)
         if not isinstance(self.controller, Controller | None):
             raise JaxactError(

@@ -299,6 +299,14 @@ def test_states_that_are_not_the_latest_are_refused():
         jax.block_until_ready(step(key, state, jnp.int32(0)))
 
 
+def test_actions_of_other_shapes_are_refused():
+    pomdp = countdown()
+    state, _ = jax.eval_shape(pomdp.reset, jax.random.key(0))
+    message = r"an action of Countdown has the shape \(\), not \(2,\)"
+    with pytest.raises(JaxactError, match=message):
+        jax.eval_shape(pomdp.step, jax.random.key(0), state, jnp.zeros(2, jnp.int32))
+
+
 def test_lanes_that_share_an_episode_are_refused():
     pomdp = countdown()
     keys = jnp.stack([jax.random.key(0)] * 2)

@@ -168,9 +168,11 @@ def test_bad_input_is_answered_in_a_sentence():
         from_gymnasium(make, processes=1)
     with pytest.raises(JaxactError, match="2 threads and 3 processes exclude each other"):
         countdown(threads=2, processes=3)
+    with pytest.raises(JaxactError, match="processes of a simulated world must be a whole number"):
+        countdown(processes="2")
     with pytest.raises(JaxactError, match="processes of a simulated world must be at least 0"):
         countdown(processes=-1)
-    with pytest.raises(JaxactError, match="timeout of a simulated world must be above 0, got 0"):
+    with pytest.raises(JaxactError, match="timeout of a simulated world must be a number above 0"):
         countdown(processes=1, timeout=0.0)
 
 

@@ -7,8 +7,13 @@ import pytest
 
 from envs_jax.physics import BodySensor, JointSensor, ModelSensor, NoisyStart, Physics
 from envs_jax.physics.locomotion import Balance
+from jaxact import Experiment, Stage, TrainingPipeline, train
+from jaxact.checkpoints import Checkpoints
 from jaxact.errors import JaxactError
+from jaxact.losses import PPO
+from jaxact.models import ActorCritic, Concatenated, NoMemory
 from jaxact.pomdp import POMDP
+from tests.tiny import Plain
 
 # A ball in a slide over a floor, with all that a model can sense of it.
 BALL = """
@@ -108,6 +113,28 @@ def test_a_simulation_that_comes_apart_ends_the_episode_where_it_was_sound(start
     np.testing.assert_array_equal(after.environment.position, state.environment.position)
 
 
+@pytest.mark.slow
+def test_training_goes_on_where_simulations_come_apart(tmp_path):
+    """A motor that tears the ball away in each episode's first step: episodes end, and no loss."""
+    source = BALL[: BALL.index("<sensor>")] + "</mujoco>"
+    source = source.replace('joint="along" ctrlrange', 'joint="along" gear="1e30" ctrlrange')
+    world = Physics(source)
+    sensors = {"x": JointSensor(world)}
+    pomdp = POMDP(world, Balance(lean=9.0), NoisyStart(world, 0.1, 0.1), sensors)
+    model = ActorCritic(pomdp.action_space, Concatenated({"x": Plain()}), NoMemory())
+    pipeline = TrainingPipeline(
+        (Stage({"ppo": PPO()}, steps=64),), lanes=4, rollout_length=4, epochs=1, minibatches=1
+    )
+    result = train(
+        Experiment("apart", pomdp, model, pipeline), output=tmp_path, log_every=16,
+        checkpoint_every=32, evaluation_episodes=4, progress=False,
+    )  # fmt: skip
+    assert result.evaluation.metrics["task/diverged"].tolist() == [1] * 4
+    assert result.evaluation.length.tolist() == [1] * 4
+    assert all(np.isfinite(x).all() for x in jax.tree.leaves(result.policy.params))
+    assert Checkpoints(result.run / "checkpoints").steps() == [32, 64]
+
+
 @pytest.mark.parametrize(
     ("source", "message"),
     [
@@ -136,7 +163,9 @@ def test_names_that_the_model_lacks_are_refused():
         ModelSensor(WORLD, "tuch")
     with pytest.raises(JaxactError, match="substeps of a physics world must be at least 1, got 0"):
         Physics(BALL, substeps=0)
-    with pytest.raises(JaxactError, match="substeps of a physics world are whole, not"):
+    with pytest.raises(
+        JaxactError, match="substeps of a physics world must be a whole number, got"
+    ):
         Physics(BALL, substeps=1.5)
     with pytest.raises(JaxactError, match=r"a class of envs_jax.physics.Controller, not 'moves'"):
         Physics(BALL, controller="moves")
