@@ -127,6 +127,11 @@ class Simulator(Environment):
         """Takes a step; their environments draw at random from the state alone, if at all."""
         del key
         theirs = self.theirs
+        if jnp.shape(action) != self.action_space.shape:
+            raise JaxactError(
+                f"an action of {self.suite}'s {self.name!r} has the shape "
+                f"{self.action_space.shape}, not {jnp.shape(action)}"
+            )
         # A step of theirs writes into the dicts of the state that it is given.
         copied = jax.tree.map(lambda x: x, state)
         with _in_their_manner():

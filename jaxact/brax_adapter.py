@@ -23,7 +23,7 @@ from brax.envs.base import Env, State
 from brax.envs.wrappers.training import AutoResetWrapper, EpisodeWrapper, VmapWrapper
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from jaxact.errors import JaxactError
+from jaxact.errors import JaxactError, check_at_least
 from jaxact.gymnax_spaces import flattened
 from jaxact.pomdp import POMDP, PyTree
 from jaxact.spaces import Box
@@ -153,8 +153,13 @@ def wrap(
       randomization_fn: must be None; what differs between episodes is the sampler's business.
 
     Raises:
-      JaxactError: there is a `randomization_fn`.
+      JaxactError: it is not from `to_brax`, there is a `randomization_fn`, or a number below 1.
     """
+    if not isinstance(env, BraxEnvironment):
+        raise JaxactError(
+            f"wrap needs an environment from to_brax, not yet wrapped, but got {env!r}"
+        )
+    check_at_least(1, "wrap", episode_length=episode_length, action_repeat=action_repeat)
     if randomization_fn is not None:
         raise JaxactError(
             "randomization_fn changes a system of Brax's, which this world has none of; vary its "

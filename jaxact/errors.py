@@ -18,7 +18,7 @@ def unknown(kind: str, given: str, valid: Iterable[str]) -> JaxactError:
     "unknown loss 'pppo'; the nearest is 'ppo' (valid: a2c, ppo)"
     """
     names = sorted(valid)
-    close = difflib.get_close_matches(given, names, n=1, cutoff=0.0)
+    close = difflib.get_close_matches(str(given), names, n=1, cutoff=0.0)
     nearest = f"the nearest is {close[0]!r}" if close else "there is no valid choice"
     shown = ", ".join(names[:12]) + (f", and {len(names) - 12} more" if len(names) > 12 else "")
     return JaxactError(f"unknown {kind} {given!r}; {nearest} (valid: {shown})")

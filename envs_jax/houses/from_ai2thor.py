@@ -81,6 +81,10 @@ def from_ai2thor(
     """
     if platform not in PLATFORMS:
         raise unknown("platform", platform, PLATFORMS)
+    names = {"scenes": scenes, "held_out_scenes": held_out_scenes, "targets": targets}
+    for name, given in (names | {"observation": observation}).items():
+        if isinstance(given, str):
+            raise JaxactError(f"{name} is a sequence of names, as ({given!r},)")
     if task not in TASKS:
         raise unknown("task", task, TASKS)
     finds = task == "object_nav"

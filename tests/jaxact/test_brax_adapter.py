@@ -111,6 +111,10 @@ def test_what_brax_cannot_train_is_refused(adapter, env):
         JaxactError, match=r"an action is of 2 numbers, but it has the shape \(3,\)"
     ):
         jax.eval_shape(env.step, state, jnp.zeros(3, jnp.float32))
+    with pytest.raises(JaxactError, match="from to_brax, not yet wrapped, but got"):
+        adapter.wrap(adapter.wrap(env, 10), 10)
+    with pytest.raises(JaxactError, match="episode_length of wrap must be at least 1, got 0"):
+        adapter.wrap(env, 0)
     with pytest.raises(JaxactError, match="its task sampler"):
         adapter.wrap(env, 10, randomization_fn=lambda system: system)
 

@@ -21,6 +21,7 @@ from jaxact.distributions import Categorical
 from jaxact.evaluation import evaluate_policy
 from jaxact.experiment import Experiment
 from jaxact.from_gymnasium import from_gymnasium
+from jaxact.gymnasium_adapter import to_gymnasium, to_gymnasium_vector
 from jaxact.gymnax_adapter import to_gymnax
 from jaxact.losses import PPO
 from jaxact.models import ActorCritic, Concatenated, NoMemory
@@ -313,6 +314,18 @@ def test_lanes_that_share_an_episode_are_refused():
     state, _ = jax.vmap(pomdp.reset)(keys)
     with pytest.raises(JaxactError, match="another lane is playing the same episode"), explained():
         jax.block_until_ready(jax.vmap(pomdp.step)(keys, state, jnp.zeros(2, jnp.int32)))
+
+
+def test_gymnasiums_code_is_told_what_failed(monkeypatch):
+    """Where the bridge is crossed both ways."""
+    pomdp = countdown(2)
+    with pytest.raises(JaxactError, match="num_envs is 3, but the world can be simulated 2 times"):
+        to_gymnasium_vector(pomdp, 3)
+    monkeypatch.setattr(Countdown, "fails_at", 1)
+    env = to_gymnasium(pomdp)
+    env.reset(seed=0)
+    with pytest.raises(JaxactError, match=r"^simulator \d of Countdown failed at step 0 "):
+        env.step(0)
 
 
 def test_more_episodes_than_simulators_are_refused():
