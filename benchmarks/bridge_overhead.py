@@ -1,12 +1,14 @@
 """What the bridge to Gymnasium costs: `python -m benchmarks.bridge_overhead --help`.
 
-The same environments under random actions, stepped by Gymnasium's own `SyncVectorEnv` and by a
-rollout of jaxact's through the bridge; both begin episodes anew, and take turns in one process.
+The same environments under random actions, stepped by Gymnasium's own vectors and by rollouts of
+jaxact's through the bridge; all begin episodes anew, and take turns. With `--processes` there is
+Gymnasium's `AsyncVectorEnv` besides, a process for each environment, and the bridge's processes.
 Prints a line of JSON for the machine and one for each system.
 """
 
 from __future__ import annotations
 
+import functools
 import statistics
 import sys
 import time
@@ -19,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
+from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv, VectorEnv
 
 from benchmarks.env_lines import Line, print_lines
 from benchmarks.env_worker import machine
@@ -47,6 +50,19 @@ class Arguments:
     """The fastest and the median are reported."""
     threads: int = 0
     """Threads of the bridge; see `from_gymnasium`."""
+    processes: int = 0
+    """Processes of the bridge; 0 to leave systems with processes out."""
+    work: float = 0.0
+    """Milliseconds of a processor by which each step of an environment is made heavier."""
+
+
+# How many processes of its own each system has.
+PROCESSES: dict[str, Callable[[Arguments], int]] = {
+    "gymnasium": lambda _: 0,
+    "rollout": lambda _: 0,
+    "gymnasium_async": lambda arguments: arguments.lanes,
+    "rollout_processes": lambda arguments: arguments.processes,
+}
 
 
 def main() -> None:
@@ -69,6 +85,9 @@ def check(arguments: Arguments) -> None:
     for name in ("lanes", "steps", "repeats"):
         if getattr(arguments, name) < 1:
             raise JaxactError(f"--{name} must be at least 1; got {getattr(arguments, name)}")
+    for name in ("threads", "processes", "work"):
+        if getattr(arguments, name) < 0:
+            raise JaxactError(f"--{name} must be at least 0; got {getattr(arguments, name)}")
 
 
 def measure(arguments: Arguments) -> Iterator[Line]:
@@ -80,10 +99,18 @@ def measure(arguments: Arguments) -> Iterator[Line]:
 
 def measure_environment(name: str, arguments: Arguments) -> Iterator[Line]:
     """Yields a line for each system."""
+    make = functools.partial(made, name, arguments.work / 1000)
     systems = {
-        "gymnasium": vector(name, arguments),
-        "rollout": through_rollout(name, arguments),
+        "gymnasium": vector(SyncVectorEnv([make] * arguments.lanes), arguments),
+        "rollout": through_rollout(make, arguments, threads=arguments.threads),
     }
+    if arguments.processes:
+        # A fork would take JAX's threads along.
+        apart = AsyncVectorEnv([make] * arguments.lanes, context="spawn")
+        systems["gymnasium_async"] = vector(apart, arguments)
+        systems["rollout_processes"] = through_rollout(
+            make, arguments, processes=arguments.processes
+        )
     seconds: dict[str, list[float]] = {system: [] for system in systems}
     episodes = dict.fromkeys(systems, 0)
     for repeat in range(1 + arguments.repeats):
@@ -110,13 +137,39 @@ def measure_environment(name: str, arguments: Arguments) -> Iterator[Line]:
             "lanes": arguments.lanes,
             "steps": arguments.steps,
             "repeats": arguments.repeats,
-            "threads": arguments.threads if system != "gymnasium" else 0,
+            "threads": arguments.threads if system == "rollout" else 0,
+            "processes": PROCESSES[system](arguments),
+            "work_milliseconds": arguments.work,
         }
 
 
-def vector(name: str, arguments: Arguments) -> Callable[[], int]:
-    """Returns a function that takes all steps with Gymnasium's own vector, and counts episodes."""
-    envs = gymnasium.make_vec(name, arguments.lanes, vectorization_mode="sync")
+class Working(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Steps that take more of a processor, in Python.
+
+    Attributes:
+      seconds: by which each is longer.
+    """
+
+    def __init__(self, environment: gymnasium.Env[Any, Any], seconds: float) -> None:
+        super().__init__(environment)
+        self.seconds = seconds
+
+    def step(self, action: Any) -> Any:
+        """Takes one step."""
+        until = time.thread_time() + self.seconds
+        while time.thread_time() < until:
+            pass
+        return super().step(action)
+
+
+def made(name: str, work: float) -> gymnasium.Env[Any, Any]:
+    """Makes an environment whose steps take `work` seconds more."""
+    environment = gymnasium.make(name, disable_env_checker=True)
+    return Working(environment, work) if work else environment
+
+
+def vector(envs: VectorEnv[Any, Any, Any], arguments: Arguments) -> Callable[[], int]:
+    """Returns a function that takes all steps with a vector of Gymnasium's, counting episodes."""
     envs.reset(seed=0)
     shape = (arguments.steps, arguments.lanes)
     random = np.random.default_rng(0)
@@ -164,9 +217,11 @@ def random_policy(pomdp: POMDP) -> Callable[..., Any]:
     return policy
 
 
-def through_rollout(name: str, arguments: Arguments) -> Callable[[], int]:
+def through_rollout(
+    make: Callable[[], gymnasium.Env[Any, Any]], arguments: Arguments, **options: int
+) -> Callable[[], int]:
     """Returns the same through the bridge, by a rollout of jaxact's, compiled beforehand."""
-    pomdp = from_gymnasium(name, simulators=arguments.lanes, threads=arguments.threads)
+    pomdp = from_gymnasium(make, simulators=arguments.lanes, **options)
     keys = jax.random.split(jax.random.key(0), arguments.lanes)
     lanes = start_lanes(pomdp, (), Random, keys, SHORTEST_QUEUE_LENGTH)
     policy = random_policy(pomdp)

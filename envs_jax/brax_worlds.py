@@ -27,7 +27,7 @@ import jax
 import jax.numpy as jnp
 
 from envs_jax.registry import register
-from jaxact.errors import JaxactError, unknown
+from jaxact.errors import JaxactError, check_at_least, unknown
 from jaxact.frozen import FrozenMapping
 from jaxact.pomdp import POMDP, Environment, Episode, Outcome, PyTree, Sensor, Task, TaskSampler
 from jaxact.spaces import Box
@@ -127,6 +127,11 @@ class Simulator(Environment):
         """Takes a step; their environments draw at random from the state alone, if at all."""
         del key
         theirs = self.theirs
+        if jnp.shape(action) != self.action_space.shape:
+            raise JaxactError(
+                f"an action of {self.suite}'s {self.name!r} has the shape "
+                f"{self.action_space.shape}, not {jnp.shape(action)}"
+            )
         # A step of theirs writes into the dicts of the state that it is given.
         copied = jax.tree.map(lambda x: x, state)
         with _in_their_manner():
@@ -144,6 +149,9 @@ class Resets(TaskSampler):
 
     simulator: Simulator
     horizon: int = HORIZON
+
+    def __post_init__(self) -> None:
+        check_at_least(1, "a simulator's episodes", horizon=self.horizon)
 
     def sample(self, key: jax.Array, sampler_state: PyTree) -> Episode:
         """Draws one episode; the task's state is the return so far."""

@@ -23,7 +23,7 @@ from brax.envs.base import Env, State
 from brax.envs.wrappers.training import AutoResetWrapper, EpisodeWrapper, VmapWrapper
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from jaxact.errors import JaxactError
+from jaxact.errors import JaxactError, check_at_least
 from jaxact.gymnax_spaces import flattened
 from jaxact.pomdp import POMDP, PyTree
 from jaxact.spaces import Box
@@ -33,9 +33,12 @@ def to_brax(pomdp: POMDP) -> BraxEnvironment:
     """Makes an environment with the methods of `brax.envs.Env` of a world.
 
     Raises:
-      JaxactError: the world is one of several agents, or its actions are not a box of floats: the
-        policies of Brax's trainers are normal distributions.
+      JaxactError: the world is one of several agents or outside of JAX, or its actions are not a
+        box of floats: the policies of Brax's trainers are normal distributions.
     """
+    if not isinstance(pomdp, POMDP):
+        raise JaxactError(f"to_brax needs a POMDP, as of envs_jax.make, but it was given {pomdp!r}")
+    pomdp.check_in_jax("Brax's environments are")
     pomdp.check_single_agent("Brax's environments are")
     space = pomdp.action_space
     if not isinstance(space, Box) or not jnp.issubdtype(jnp.dtype(space.dtype), jnp.floating):
@@ -89,7 +92,12 @@ class BraxEnvironment(Env):  # type: ignore[misc, unused-ignore]
     def step(self, state: State, action: jax.Array) -> State:
         """Takes a step; never resets."""
         step_key, key = jax.random.split(state.info["key"])
-        action = jnp.asarray(action, self._space.dtype).reshape(self._space.shape)
+        action = jnp.asarray(action, self._space.dtype)
+        if action.size != self.action_size:
+            raise JaxactError(
+                f"an action is of {self.action_size} numbers, but it has the shape {action.shape}"
+            )
+        action = action.reshape(self._space.shape)
         action = self._middle + self._reach * action
         after, step = self.pomdp.step(step_key, state.pipeline_state, action)
         last = step.finished.astype(jnp.float32)
@@ -145,8 +153,13 @@ def wrap(
       randomization_fn: must be None; what differs between episodes is the sampler's business.
 
     Raises:
-      JaxactError: there is a `randomization_fn`.
+      JaxactError: it is not from `to_brax`, there is a `randomization_fn`, or a number below 1.
     """
+    if not isinstance(env, BraxEnvironment):
+        raise JaxactError(
+            f"wrap needs an environment from to_brax, not yet wrapped, but got {env!r}"
+        )
+    check_at_least(1, "wrap", episode_length=episode_length, action_repeat=action_repeat)
     if randomization_fn is not None:
         raise JaxactError(
             "randomization_fn changes a system of Brax's, which this world has none of; vary its "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from numbers import Integral
 
 
 class JaxactError(ValueError):
@@ -17,14 +18,14 @@ def unknown(kind: str, given: str, valid: Iterable[str]) -> JaxactError:
     "unknown loss 'pppo'; the nearest is 'ppo' (valid: a2c, ppo)"
     """
     names = sorted(valid)
-    close = difflib.get_close_matches(given, names, n=1, cutoff=0.0)
+    close = difflib.get_close_matches(str(given), names, n=1, cutoff=0.0)
     nearest = f"the nearest is {close[0]!r}" if close else "there is no valid choice"
     shown = ", ".join(names[:12]) + (f", and {len(names) - 12} more" if len(names) > 12 else "")
     return JaxactError(f"unknown {kind} {given!r}; {nearest} (valid: {shown})")
 
 
 def check_at_least(least: int, what: str, **numbers: int) -> None:
-    """Refuses numbers that are too small.
+    """Refuses numbers that are not whole or too small.
 
     Args:
       least: the smallest that will do.
@@ -32,8 +33,10 @@ def check_at_least(least: int, what: str, **numbers: int) -> None:
       **numbers: by name.
 
     Raises:
-      JaxactError: one is smaller.
+      JaxactError: one is smaller, or is not whole.
     """
     for name, number in numbers.items():
+        if not isinstance(number, Integral):
+            raise JaxactError(f"{name} of {what} must be a whole number, got {number!r}")
         if number < least:
             raise JaxactError(f"{name} of {what} must be at least {least}, got {number}")

@@ -37,6 +37,7 @@ from jaxact.played_episodes import (
 )
 from jaxact.pomdp import POMDP, PyTree, Step
 from jaxact.recording import side_by_side
+from jaxact.simulators import explained
 
 _METADATA: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 8}
 
@@ -109,6 +110,7 @@ class _POMDPEnv(gymnasium.Env[Any, Any]):
         self.observation_space = to_space(pomdp.observation_space, flatten)
         self.action_space = to_space(pomdp.action_space)
 
+    @explained()
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
@@ -120,6 +122,7 @@ class _POMDPEnv(gymnasium.Env[Any, Any]):
         self._lane, observation = begin(seed_word(self._seed), np.int32(self._episode))
         return self._numpy(observation), {}
 
+    @explained()
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         action = to_jax(self._pomdp.action_space, action, ())
         _, step, _ = programs(self._pomdp)
@@ -200,6 +203,11 @@ class _POMDPVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         check_render_mode(pomdp, render_mode)
         if num_envs < 1:
             raise JaxactError(f"num_envs must be at least 1, got {num_envs}")
+        if num_envs > pomdp.lanes_at_once(num_envs):
+            raise JaxactError(
+                f"num_envs is {num_envs}, but the world can be simulated "
+                f"{pomdp.environment.max_lanes} times at once"
+            )
         if autoreset_mode is AutoresetMode.DISABLED:
             raise JaxactError("lanes reset themselves: autoreset_mode is NEXT_STEP or SAME_STEP")
         self._pomdp, self._flatten, self.render_mode = pomdp, flatten, render_mode
@@ -215,6 +223,7 @@ class _POMDPVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 
+    @explained()
     def reset(
         self,
         *,
@@ -237,6 +246,7 @@ class _POMDPVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._due = np.zeros(self.num_envs, bool)
         return self._numpy(observation), {}
 
+    @explained()
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         action = to_jax(self._pomdp.action_space, actions, (self.num_envs,))
         self._lanes, observation, result = self._step(self._playing(), self._due, action)

@@ -36,7 +36,7 @@ def to_space(space: spaces.Space, flatten: bool = False) -> gymnasium.Space[Any]
 
 
 def from_space(space: gymnasium.Space[Any]) -> spaces.Space:
-    """Returns the space of the same values; wider numbers become float32 and int32.
+    """Returns the space of the same values; wider numbers become float32, int32 and uint32.
 
     Raises:
       JaxactError: there is none.
@@ -44,8 +44,9 @@ def from_space(space: gymnasium.Space[Any]) -> spaces.Space:
     match space:
         case gymnasium.spaces.Discrete() if space.start == 0:
             return spaces.Discrete(int(space.n))
-        case gymnasium.spaces.Box():
-            dtype = np.dtype({"f8": "f4", "i8": "i4"}.get(space.dtype.str[1:], space.dtype))
+        case gymnasium.spaces.Box() if space.low.size:
+            narrow = {"f8": "f4", "i8": "i4", "u8": "u4"}
+            dtype = np.dtype(narrow.get(space.dtype.str[1:], space.dtype))
             low, high = float(space.low.min()), float(space.high.max())
             if np.issubdtype(dtype, np.integer):
                 limits = np.iinfo(dtype)

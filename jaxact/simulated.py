@@ -22,7 +22,8 @@ from jaxact.compaction import together
 from jaxact.errors import JaxactError, check_at_least
 from jaxact.frozen import FrozenMapping
 from jaxact.pomdp import POMDP, Environment, Episode, Outcome, PyTree, Sensor, Task, TaskSampler
-from jaxact.simulators import Simulator, Simulators
+from jaxact.simulator_hosts import Host, LocalHost, Simulator
+from jaxact.simulators import Simulators
 from jaxact.spaces import Space
 
 
@@ -71,7 +72,10 @@ class Simulated(Environment):
       observations: the space of each named part of what they observe.
       metrics: names of their metrics.
       simulators: at most how many there are for training, and how many for evaluation.
-      threads: how many are stepped at once, see `simulators.Simulators`.
+      threads: how many are stepped at once, see `simulator_hosts.LocalHost`.
+      processes: how many processes of their own they are spread over; 0 for the caller's.
+      timeout: seconds that one in such a process may take for an answer.
+      kind: what errors call them.
       names: of discrete actions.
       make_held_out: makes one to evaluate with, of the same spaces; None if those are the same.
     """
@@ -84,13 +88,25 @@ class Simulated(Environment):
     metrics: tuple[str, ...] = ()
     simulators: int = 8
     threads: int = 0
+    processes: int = 0
+    timeout: float = 600.0
+    kind: str = "worlds"
     names: tuple[str, ...] = ()
     make_held_out: Callable[[], Simulator] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "observations", FrozenMapping(self.observations))
         check_at_least(1, "a simulated world", simulators=self.simulators)
-        check_at_least(0, "a simulated world", threads=self.threads)
+        check_at_least(0, "a simulated world", threads=self.threads, processes=self.processes)
+        if self.threads and self.processes:
+            raise JaxactError(
+                f"{self.threads} threads and {self.processes} processes exclude each other: each "
+                "process steps its own simulators one after the other"
+            )
+        if not isinstance(self.timeout, int | float) or not self.timeout > 0:
+            raise JaxactError(
+                f"timeout of a simulated world must be a number above 0, got {self.timeout!r}"
+            )
 
     @property
     def action_names(self) -> tuple[str, ...]:
@@ -132,8 +148,20 @@ class Simulated(Environment):
         return self._state(ticket, jnp.zeros((), jnp.float32), *seen)
 
     def step(self, key: jax.Array, state: SimulatedState, action: PyTree) -> SimulatedState:
-        """Steps the simulator; one whose episode is over stays as it is, and earns nothing."""
+        """Steps the simulator; one whose episode is over stays as it is, and earns nothing.
+
+        Raises:
+          JaxactError: the action has the shape of none.
+        """
         del key
+        for given, expected in zip(
+            jax.tree.leaves(action), jax.tree.leaves(self.actions.structure), strict=True
+        ):
+            if jnp.shape(given) != expected.shape:
+                raise JaxactError(
+                    f"an action of {self.kind} has the shape {expected.shape}, not "
+                    f"{jnp.shape(given)}"
+                )
 
         @together
         def step(tickets: jax.Array, active: jax.Array, *actions: jax.Array) -> PyTree:
@@ -182,8 +210,15 @@ class Simulated(Environment):
 def _pool(environment: Simulated, held_out: bool) -> Simulators:
     make = (environment.make_held_out if held_out else None) or environment.make
     shapes = [space.structure for space in environment.observations.values()]
-    limit, threads = environment.simulators, environment.threads
-    return Simulators(make, limit, threads, shapes, len(environment.metrics))
+    host: Host = LocalHost(make, environment.threads)
+    if environment.processes:
+        from jaxact.simulator_processes import ProcessHost
+
+        # No more than there are simulators for.
+        processes = min(environment.processes, environment.simulators)
+        host = ProcessHost(make, processes, environment.timeout)
+    metrics = len(environment.metrics)
+    return Simulators(host, environment.simulators, shapes, metrics, environment.kind)
 
 
 def _begin(environment: Simulated, tickets: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -216,6 +251,10 @@ class SimulatedEpisodes(TaskSampler):
     horizon: int = 2**31 - 1
     held_out_seeds: int = 0
     is_held_out: bool = False
+
+    def __post_init__(self) -> None:
+        check_at_least(1, "simulated episodes", horizon=self.horizon)
+        check_at_least(0, "simulated episodes", held_out_seeds=self.held_out_seeds)
 
     @property
     def held_out(self) -> TaskSampler:

@@ -12,51 +12,21 @@ import atexit
 import contextlib
 import logging
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import numpy as np
 
 from jaxact.errors import JaxactError
+from jaxact.simulator_hosts import Answer, Host, Reading, Request, Simulator
 
 # The columns of tickets, uint32 [N, 6].
 HELD_OUT, SIMULATOR, EPISODE, STEPS, HORIZON = 0, 1, slice(2, 4), 4, 5
 WIDTH = 6
-# The columns of `Reading.numbers` before the metrics.
+# The columns of `simulator_hosts.Reading.numbers` before the metrics.
 REWARD, TERMINATED, TRUNCATED, SUCCESS = range(4)
-
-
-@dataclass(frozen=True)
-class Reading:
-    """What a simulator says after a reset or a step.
-
-    Attributes:
-      observation: arrays, in an order of the simulator's own.
-      numbers: float32 [4 + M]: the reward, whether the episode terminated and was truncated (0 or
-        1), whether it is a success (-1 if the simulator does not say), and M metrics.
-    """
-
-    observation: tuple[np.ndarray, ...]
-    numbers: np.ndarray
-
-
-class Simulator(Protocol):
-    """One world, somewhere."""
-
-    def reset(self, seed: int) -> Reading:
-        """Begins the episode of a seed."""
-        ...
-
-    def step(self, action: tuple[np.ndarray, ...]) -> Reading:
-        """Takes one step; an action is given by the leaves of its tree."""
-        ...
-
-    def close(self) -> None:
-        """Frees what the simulator holds."""
-        ...
 
 
 def seed_of(episode: Any) -> Any:
@@ -70,9 +40,8 @@ def seed_of(episode: Any) -> Any:
 
 @dataclass
 class _Slot:
-    """A simulator, made when it is first needed, and what it is doing."""
+    """What a simulator is doing."""
 
-    simulator: Simulator | None = None
     episode: tuple[int, int] | None = None
     steps: int = 0
     over: bool = True
@@ -88,30 +57,29 @@ class Simulators:
     made yet; and if all are made to the one that was idle the longest, whose own is then given up.
 
     Attributes:
-      make: makes one.
+      host: where they run.
       limit: at most how many.
-      threads: how many are stepped at once, where they let other threads run meanwhile; with 0
-        one follows the other.
       shapes: of the arrays of an observation.
       metrics: M, how many metrics there are.
+      kind: what errors call them.
     """
 
-    make: Callable[[], Simulator]
+    host: Host
     limit: int
-    threads: int
     shapes: Sequence[jax.ShapeDtypeStruct]
     metrics: int
+    kind: str = "worlds"
     _slots: list[_Slot] = field(default_factory=list, init=False)
     _lock: threading.RLock = field(default_factory=threading.RLock, init=False)
     _clock: int = field(default=0, init=False)
-    _workers: ThreadPoolExecutor | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         atexit.register(self.close)
 
     def adopt(self, simulator: Simulator) -> None:
         """Takes in one that is made already."""
-        self._slots.append(_Slot(simulator))
+        self.host.adopt(len(self._slots), simulator)
+        self._slots.append(_Slot())
 
     def begin(self, tickets: np.ndarray) -> tuple[np.ndarray, ...]:
         """Begins episodes.
@@ -131,7 +99,11 @@ class Simulators:
             self._clock += 1
             rows = [self._slot_for(ticket) for ticket in tickets]
             new = {row: t for row, t in zip(rows, tickets, strict=True) if self._is_new(row)}
-            self._run([self._reset_job(self._slots[row], ticket) for row, ticket in new.items()])
+            for row in new:
+                self._slots[row].steps, self._slots[row].over = 0, False
+            seeds = {row: int(seed_of(ticket[EPISODE])) for row, ticket in new.items()}
+            for row, reading in self._asked(seeds, new).items():
+                self._slots[row].first = reading
             readings = [self._slots[row].first for row in rows]
             return np.asarray(rows, np.uint32), *self._joined(readings)
 
@@ -153,24 +125,27 @@ class Simulators:
         """
         with self._lock:
             self._clock += 1
+            lanes: dict[int, int] = {}
+            for lane in np.flatnonzero(active).tolist():
+                lanes[self._slot_at(tickets[lane])] = lane
+            actions_of: dict[int, Request] = {
+                row: tuple(leaf[lane] for leaf in actions) for row, lane in lanes.items()
+            }
+            played = {row: tickets[lane] for row, lane in lanes.items()}
             readings: list[Reading | None] = [None] * len(tickets)
-            jobs = []
-            for row in np.flatnonzero(active).tolist():
-                slot = self._slot_at(tickets[row])
-                action = tuple(leaf[row] for leaf in actions)
-                jobs.append(self._step_job(slot, tickets[row], action, readings, row))
-            self._run(jobs)
+            for row, reading in self._asked(actions_of, played).items():
+                slot = self._slots[row]
+                slot.steps += 1
+                ended = bool(reading.numbers[TERMINATED] or reading.numbers[TRUNCATED])
+                slot.over = ended or slot.steps >= int(played[row][HORIZON])
+                readings[lanes[row]] = reading
             return self._joined(readings)
 
     def close(self) -> None:
         """Closes all simulators; episodes in play are given up."""
         with self._lock:
-            for slot in self._slots:
-                _discard(slot)
             self._slots.clear()
-            if self._workers is not None:
-                self._workers.shutdown()
-                self._workers = None
+            self.host.close()
 
     def _slot_for(self, ticket: np.ndarray) -> int:
         """Chooses who plays a new episode, and gives it to them."""
@@ -202,8 +177,8 @@ class Simulators:
         slot = self._slots[row]
         return slot.first is None or slot.steps > 0 or slot.over
 
-    def _slot_at(self, ticket: np.ndarray) -> _Slot:
-        """Returns the simulator that a ticket is the latest of."""
+    def _slot_at(self, ticket: np.ndarray) -> int:
+        """Returns the number of the simulator that a ticket is the latest of."""
         number, steps = int(ticket[SIMULATOR]), int(ticket[STEPS])
         slot = self._slots[number] if number < len(self._slots) else None
         if slot is None or slot.episode != _episode(ticket) or slot.first is None:
@@ -214,67 +189,51 @@ class Simulators:
             found = f"its simulator is at step {slot.steps} already"
         else:
             slot.touched = self._clock
-            return slot
+            return number
         raise JaxactError(
             f"a state at step {steps} of the episode with seed {seed_of(ticket[EPISODE])} was to "
             f"be stepped from, but {found}: worlds outside of JAX go on from their latest state "
             "alone, can be neither copied nor saved, and each lane needs a simulator of its own"
         )
 
-    def _reset_job(self, slot: _Slot, ticket: np.ndarray) -> Callable[[], None]:
-        def job() -> None:
-            slot.steps, slot.over = 0, False
-            try:
-                if slot.simulator is None:
-                    slot.simulator = self.make()
-                slot.first = self._checked(slot.simulator.reset(int(seed_of(ticket[EPISODE]))))
-            except Exception as error:
-                raise _blame(slot, ticket, "reset", error) from error
+    def _asked(
+        self, requests: Mapping[int, Request], tickets: Mapping[int, np.ndarray]
+    ) -> dict[int, Reading]:
+        """Resets or steps simulators, by their numbers; of several failures the first is raised.
 
-        return job
+        One that fails is closed, and its episode given up.
+        """
+        failure: JaxactError | None = None
+        readings: dict[int, Reading] = {}
+        for row, answer in self.host.ask(requests).items():
+            checked = self._checked(answer)
+            if isinstance(checked, Reading):
+                readings[row] = checked
+                continue
+            slot = self._slots[row]
+            when = "reset" if isinstance(requests[row], int) else f"step {slot.steps}"
+            seed = seed_of(tickets[row][EPISODE])
+            blamed = JaxactError(
+                f"simulator {row} of {self.kind} failed at {when} of the episode with seed {seed}: "
+                f"{checked}"
+            )
+            blamed.__cause__ = checked.__cause__
+            failure = failure or blamed
+            slot.episode, slot.over = None, True
+            self.host.discard(row)
+        if failure is not None:
+            raise failure
+        return readings
 
-    def _step_job(
-        self,
-        slot: _Slot,
-        ticket: np.ndarray,
-        action: tuple[np.ndarray, ...],
-        readings: list[Reading | None],
-        row: int,
-    ) -> Callable[[], None]:
-        def job() -> None:
-            assert slot.simulator is not None
-            try:
-                reading = self._checked(slot.simulator.step(action))
-            except Exception as error:
-                raise _blame(slot, ticket, f"step {slot.steps}", error) from error
-            slot.steps += 1
-            ended = bool(reading.numbers[TERMINATED] or reading.numbers[TRUNCATED])
-            slot.over = ended or slot.steps >= int(ticket[HORIZON])
-            readings[row] = reading
-
-        return job
-
-    def _run(self, jobs: Sequence[Callable[[], None]]) -> None:
-        """Does all jobs; of several failures the first one is raised."""
-        if self.threads == 0 or len(jobs) < 2:
-            for job in jobs:
-                job()
-            return
-        if self._workers is None:
-            self._workers = ThreadPoolExecutor(self.threads, "simulators")
-        futures = [self._workers.submit(job) for job in jobs]
-        wait(futures)
-        for future in futures:
-            future.result()
-
-    def _checked(self, reading: Reading) -> Reading:
-        for seen, expected in zip(reading.observation, self.shapes, strict=True):
-            if (seen.shape, seen.dtype) != (expected.shape, expected.dtype):
-                raise JaxactError(
-                    f"it observed {seen.dtype}{list(seen.shape)}, but its space says "
-                    f"{expected.dtype}{list(expected.shape)}"
-                )
-        return reading
+    def _checked(self, answer: Answer) -> Answer:
+        if isinstance(answer, Reading):
+            for seen, expected in zip(answer.observation, self.shapes, strict=True):
+                if (seen.shape, seen.dtype) != (expected.shape, expected.dtype):
+                    return JaxactError(
+                        f"it observed {seen.dtype}{list(seen.shape)}, but its space says "
+                        f"{expected.dtype}{list(expected.shape)}"
+                    )
+        return answer
 
     def _joined(self, readings: Sequence[Reading | None]) -> tuple[np.ndarray, ...]:
         """Puts readings side by side."""
@@ -292,24 +251,6 @@ class Simulators:
 def _episode(ticket: np.ndarray) -> tuple[int, int]:
     first, second = ticket[EPISODE].tolist()
     return first, second
-
-
-def _discard(slot: _Slot) -> None:
-    """Closes a simulator, whatever state it is in."""
-    simulator, slot.simulator, slot.episode, slot.over = slot.simulator, None, None, True
-    if simulator is not None:
-        with contextlib.suppress(Exception):
-            simulator.close()
-
-
-def _blame(slot: _Slot, ticket: np.ndarray, when: str, error: Exception) -> JaxactError:
-    """Says when something failed in a simulator, which is not used again."""
-    _discard(slot)
-    kind = "" if isinstance(error, JaxactError) else f"{type(error).__name__}: "
-    seed = seed_of(ticket[EPISODE])
-    return JaxactError(
-        f"a simulator failed at {when} of the episode with seed {seed}: {kind}{error}"
-    )
 
 
 _failures: list[JaxactError] = []

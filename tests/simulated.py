@@ -25,6 +25,8 @@ class Countdown(gymnasium.Env):  # type: ignore[type-arg]
     resets: ClassVar[list[int]] = []
     # The step at which it raises an error.
     fails_at: ClassVar[int | None] = None
+    # The step from which on what it observes is not a number.
+    comes_apart_at: ClassVar[int | None] = None
 
     def __init__(self, patience: int = 6) -> None:
         self.patience = patience
@@ -54,7 +56,8 @@ class Countdown(gymnasium.Env):  # type: ignore[type-arg]
         return self._seen(), float(done), done, late, info
 
     def _seen(self) -> dict[str, Any]:
-        return {"left": np.array([float(self.left)]), "digit": self.digit}
+        is_apart = self.taken == self.comes_apart_at
+        return {"left": np.array([np.nan if is_apart else self.left]), "digit": self.digit}
 
 
 def countdown(simulators: int = 8, patience: int = 6, **options: Any) -> POMDP:

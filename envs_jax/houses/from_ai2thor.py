@@ -73,13 +73,18 @@ def from_ai2thor(
       **settings: its other arguments.
 
     Returns:
-      The POMDP; one controller is started at once, the others when they are needed.
+      The POMDP; one controller is started at once, and one for evaluation if that is elsewhere; the
+      others when they are needed.
 
     Raises:
       JaxactError: no such platform, task or view, or AI2-THOR is not installed.
     """
     if platform not in PLATFORMS:
         raise unknown("platform", platform, PLATFORMS)
+    names = {"scenes": scenes, "held_out_scenes": held_out_scenes, "targets": targets}
+    for name, given in (names | {"observation": observation}).items():
+        if isinstance(given, str):
+            raise JaxactError(f"{name} is a sequence of names, as ({given!r},)")
     if task not in TASKS:
         raise unknown("task", task, TASKS)
     finds = task == "object_nav"

@@ -4,8 +4,10 @@ It judges nothing: rewards are zero, and only "end" terminates. What a task need
 `METRICS`. Every number that can be asked of the simulator is the simulator's: what is visible, and
 how far the goal is along its navigation mesh.
 
-Sources: the actions and metadata of `ai2thor.controller.Controller` 5.0; AllenAct's
-`RoboThorEnvironment` for how distances are asked for.
+Sources: AI2-THOR's documentation of navigation and of its events' metadata; ai2thor 5.0.0, whose
+simulator wants the end of a path as `target` (https://github.com/allenai/ai2thor/issues/1155),
+though its own `ai2thor.util.metrics` still says x, y and z; AllenAct's `RoboThorEnvironment` for
+which errors are allowed.
 """
 
 from __future__ import annotations
@@ -259,7 +261,7 @@ class ThorSimulator(gymnasium.Env[Any, Any]):
                 found = self.controller.step(
                     "GetShortestPathToPoint",
                     position=_point(start),
-                    **_point(self._goal),
+                    target=_point(self._goal),
                     allowedError=error,
                 )
             if not found.metadata["lastActionSuccess"]:

@@ -46,7 +46,7 @@ from envs_jax.physics.reacher import ReacherSensor, ReacherStart, Touch
 from envs_jax.physics.rover import BODY, DRIVES, rover
 from envs_jax.physics.sensors import JointSensor
 from envs_jax.registry import register
-from jaxact.errors import unknown
+from jaxact.errors import JaxactError, unknown
 from jaxact.pomdp import POMDP, Sensor, Task, TaskSampler
 
 # Degrees, of the rover's camera.
@@ -167,6 +167,8 @@ def point_nav(
     """
     if control not in DRIVES:
         raise unknown("control of the rover", control, DRIVES)
+    if isinstance(observation, str):
+        raise JaxactError(f"observation is a sequence of names, as ({observation!r},)")
     drive = DRIVES[control]
     world, task = rover(drive), PointNav(drive)
     if horizon is None:

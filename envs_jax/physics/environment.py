@@ -7,6 +7,7 @@ carrying it, so that a lane is small.
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -138,15 +139,30 @@ class Physics(Environment):
     controller: Controller | None = None
 
     def __post_init__(self) -> None:
+        if isinstance(self.source, os.PathLike):
+            object.__setattr__(self, "source", os.fspath(self.source))
+        if not isinstance(self.source, str):
+            raise JaxactError(
+                f"a physics world needs an MJCF file's path, or its text, not {self.source!r}"
+            )
         check_at_least(1, "a physics world", substeps=self.substeps)
+        if not isinstance(self.controller, Controller | None):
+            raise JaxactError(
+                "the controller of a physics world is an object of a class of "
+                f"envs_jax.physics.Controller, not {self.controller!r}"
+            )
         device_model(self.source)
         model = self.model
+        if not model.opt.timestep > 0:
+            raise JaxactError(
+                f"the model's timestep is {model.opt.timestep}, and has to be above 0"
+            )
         if not model.nu:
             raise JaxactError("the model has no actuators, so there is nothing to act with")
         for index in np.flatnonzero(~model.actuator_ctrllimited.astype(bool)):
             raise JaxactError(
-                f"actuator {model.actuator(int(index)).name!r} has no ctrlrange: give it one, "
-                "since actions are bounded"
+                f"actuator {model.actuator(int(index)).name!r} (number {index}) has no ctrlrange, "
+                "or is not limited to it: give it one, since actions are bounded"
             )
 
     @property
@@ -180,8 +196,11 @@ class Physics(Environment):
           name: in the model.
 
         Raises:
-          JaxactError: there is none; the message has the nearest.
+          JaxactError: there is no such kind or name; the message has the nearest.
         """
+        kinds = ("actuator", "body", "geom", "joint", "sensor", "site")
+        if kind not in kinds:
+            raise unknown("kind of a model's parts", kind, kinds)
         model = self.model
         counts = {"joint": model.njnt, "actuator": model.nu, "sensor": model.nsensor}
         count = counts.get(kind) or getattr(model, f"n{kind}")
@@ -207,7 +226,12 @@ class Physics(Environment):
           mocap_position: float32 [nmocap, 3]; where the model has them, if None.
           mocap_rotation: float32 [nmocap, 4], quaternions; likewise.
           variation: by what the model differs in this episode.
+
+        Raises:
+          JaxactError: there are more or fewer numbers than joints have.
         """
+        _check_shape("position", position, self.model.nq)
+        _check_shape("velocity", velocity, self.model.nv)
         model = self._on_device(variation)
         with jax.numpy_dtype_promotion("standard"):
             data = mjx().make_data(model).replace(qpos=position, qvel=velocity)
@@ -260,7 +284,12 @@ class Physics(Environment):
         return replace(kept, diverged=~is_sound)
 
     def controls(self, action: jax.Array) -> jax.Array:
-        """Returns the controls, float32 [nu], that an action of the actuators' own stands for."""
+        """Returns the controls, float32 [nu], that an action of the actuators' own stands for.
+
+        Raises:
+          JaxactError: it is not one number for each.
+        """
+        _check_shape("action", action, self.model.nu)
         low, high = self._bounds
         action = jnp.clip(jnp.asarray(action, jnp.float32), jnp.float32(low), jnp.float32(high))
         if low == self.model.actuator_ctrlrange[0, 0]:
@@ -310,6 +339,13 @@ def check_model(pomdp: POMDP, world: Physics, name: str) -> None:
         raise JaxactError(
             f"{name} is of another model than the environment, in which what it names may be "
             "elsewhere: give both the same"
+        )
+
+
+def _check_shape(what: str, given: jax.Array, count: int) -> None:
+    if jnp.shape(given) != (count,):
+        raise JaxactError(
+            f"the {what} in this model has the shape {(count,)}, not {jnp.shape(given)}"
         )
 
 

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from envs_jax.physics.environment import Physics, PhysicsState
+from jaxact.errors import check_at_least
 from jaxact.pomdp import Episode, Outcome, PyTree, Sensor, Task, TaskSampler
 from jaxact.spaces import Box
 
@@ -170,6 +171,9 @@ class NoisyStart(TaskSampler):
     velocity: float
     normal: bool = False
     horizon: int = 1000
+
+    def __post_init__(self) -> None:
+        check_at_least(1, "a noisy start's episodes", horizon=self.horizon)
 
     def sample(self, key: jax.Array, sampler_state: PyTree) -> Episode:
         """Draws one episode."""

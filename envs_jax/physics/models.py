@@ -43,12 +43,14 @@ def host_model(source: str) -> Any:
     """
     import mujoco
 
-    is_text = source.lstrip().startswith("<")
+    # Some editors begin a file with a mark of its byte order, and MuJoCo does not read it.
+    is_text = source.lstrip("\ufeff \t\r\n").startswith("<")
     if not is_text and not Path(source).is_file():
         raise JaxactError(
             f"there is no file {source!r}: a physics world needs an MJCF file's path, or its text"
         )
     read = mujoco.MjModel.from_xml_string if is_text else mujoco.MjModel.from_xml_path
+    source = source.removeprefix("\ufeff")
     # Its own way of warning is to write a file into the working directory.
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(logging.getLogger("mujoco").warning)

@@ -150,8 +150,9 @@ class Moves(Controller):
 class Velocities(Controller):
     """The speed ahead and that of turning left, each in [−1, 1] of the fastest.
 
-    Where both are within `idle`, the action says that the task is done, as habitat-lab's
-    `VelocityAction` has it.
+    Where both are within `idle`, the action says that the task is done, as with habitat-lab's
+    `VelocityAction`, whose bounds (`VelocityControlActionConfig`: 0.025 of 0.25 m/s and 1 of 10°/s)
+    are the same share. There an action is stretched from 0 m/s on; here it can go backwards.
 
     Attributes:
       fastest: metres a second.

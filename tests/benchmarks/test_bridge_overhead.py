@@ -18,6 +18,17 @@ def test_both_systems_are_timed():
         assert line["episodes"] > 0
 
 
+@pytest.mark.slow
+def test_systems_with_processes_are_timed_besides():
+    arguments = bridge_overhead.Arguments(lanes=2, steps=8, repeats=1, processes=1, work=0.1)
+    lines = {line["system"]: line for line in bridge_overhead.measure(arguments)}
+    assert list(lines)[1:] == ["gymnasium", "rollout", "gymnasium_async", "rollout_processes"]
+    assert [line["processes"] for line in list(lines.values())[1:]] == [0, 0, 2, 1]
+    # Each step has taken its work: two lanes, 0.1 ms each.
+    assert lines["rollout_processes"]["microseconds_per_call"] > 200
+    assert lines["gymnasium"]["microseconds_per_call"] > 200
+
+
 def test_numbers_that_cannot_be(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["bridge_overhead", "--lanes", "0"])
     with pytest.raises(SystemExit):

@@ -153,7 +153,16 @@ def test_what_cannot_be_made_is_refused(name, options, sentence):
         brax_worlds.brax_world(name, **options)
 
 
-def test_a_sampler_of_another_simulator_is_refused():
+def test_actions_of_other_shapes_are_refused():
+    pomdp = envs_jax.make("Brax-fast-v0")
+    state, _ = jax.eval_shape(pomdp.reset, jax.random.key(0))
+    with pytest.raises(JaxactError, match=r"'fast' has the shape \(\d,\), not \(9,\)"):
+        jax.eval_shape(pomdp.step, jax.random.key(0), state, jnp.zeros(9, jnp.float32))
+
+
+def test_samplers_that_cannot_be_are_refused():
+    with pytest.raises(JaxactError, match="horizon of a simulator's episodes must be at least 1"):
+        brax_worlds.brax_world("fast", horizon=0)
     pomdp = envs_jax.make("Brax-fast-v0")
     other = brax_worlds.Resets(brax_worlds.Simulator("brax", "ant"))
     with pytest.raises(JaxactError, match="the sampler's episodes are of"):

@@ -14,6 +14,7 @@ from jaxact import JaxactError
 from jaxact.spaces import Box
 from tests.corridor import corridor
 from tests.point import Anywhere, Plane, point
+from tests.simulated import countdown
 from tests.tiny import assert_same
 
 POMDP = point()
@@ -101,6 +102,19 @@ def test_what_brax_cannot_train_is_refused(adapter, env):
     markov = next(name for name in envs_jax.ids() if name.startswith("Markov-"))
     with pytest.raises(JaxactError, match="worlds of one agent"):
         adapter.to_brax(envs_jax.make(markov))
+    with pytest.raises(JaxactError, match="to_brax needs a POMDP, as of "):
+        adapter.to_brax(env)
+    with pytest.raises(JaxactError, match="Brax's environments are for worlds in JAX"):
+        adapter.to_brax(countdown())
+    state = jax.eval_shape(env.reset, jax.random.key(0))
+    with pytest.raises(
+        JaxactError, match=r"an action is of 2 numbers, but it has the shape \(3,\)"
+    ):
+        jax.eval_shape(env.step, state, jnp.zeros(3, jnp.float32))
+    with pytest.raises(JaxactError, match="from to_brax, not yet wrapped, but got"):
+        adapter.wrap(adapter.wrap(env, 10), 10)
+    with pytest.raises(JaxactError, match="episode_length of wrap must be at least 1, got 0"):
+        adapter.wrap(env, 0)
     with pytest.raises(JaxactError, match="its task sampler"):
         adapter.wrap(env, 10, randomization_fn=lambda system: system)
 

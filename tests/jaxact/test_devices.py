@@ -23,6 +23,7 @@ SCRIPT = """
     from jaxact import JaxactError, Stage, train
     from jaxact.checkpoints import Checkpoints
     from jaxact.losses import PPO, Imitation
+    from jaxact.moments import Moments
     from jaxact.program import Program, choose_devices
     from jaxact.train_state import make_key
     from tests.tiny import curriculum, experiment, raw
@@ -32,6 +33,10 @@ SCRIPT = """
         from tests.jaxact.test_value_training import r2d2
 
         small = r2d2(start_after=64)
+    elif kind == "normalized":
+        from tests.jaxact import test_normalized
+
+        small = test_normalized.experiment()
     elif kind == "demonstrations":
         from jaxact.collect import collect
         from jaxact.storages import DemonstrationStorage
@@ -64,7 +69,7 @@ SCRIPT = """
     def lanes(state):
         return host((state.lanes.state, state.lanes.previous_action, state.lanes.key))
 
-    first, ends, rows = {}, {}, {}
+    first, ends, rows, statistics = {}, {}, {}, {}
     for n in counts:
         state = program[n].start(make_key(3))
         one = state.lanes.is_first
@@ -74,6 +79,9 @@ SCRIPT = """
         first[n] = lanes(state)
         if n == max(counts):
             Checkpoints("checkpoints").save(64, state, metadata={})
+        if kind == "normalized":
+            assert isinstance(test_normalized.moments_of(state.params), Moments)
+            statistics[n] = host(test_normalized.moments_of(state.params))
         state, others = updates(n, state, 3)
         ends[n], rows[n] = host((state.params, state.sampler)), begun + others
 
@@ -90,6 +98,11 @@ SCRIPT = """
         for one, other in zip(rows[n], rows[least], strict=True):
             for name in one:
                 np.testing.assert_allclose(one[name], other[name], rtol=1e-3, atol=1e-4)
+
+    for n in statistics:
+        # Of the very same observations; only the order of the sums differs.
+        for a, b in zip(statistics[n], statistics[least], strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-6)
 
     like = program[least].like()
     state = Checkpoints("checkpoints").restore(None, like).state
@@ -133,6 +146,7 @@ def run(counts, kind, directory):
     [
         ([1, 4], "plain"),
         pytest.param([1, 4], "replay", marks=pytest.mark.slow),
+        pytest.param([1, 2], "normalized", marks=pytest.mark.slow),
         pytest.param([1, 4], "demonstrations", marks=pytest.mark.slow),
         pytest.param([1, 2, 4], "plain", marks=pytest.mark.slow),
         pytest.param([1, 2, 4], "curriculum", marks=pytest.mark.slow),

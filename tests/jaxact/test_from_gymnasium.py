@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import os
+import re
 import subprocess
 import sys
 import textwrap
@@ -20,6 +21,7 @@ from jaxact.distributions import Categorical
 from jaxact.evaluation import evaluate_policy
 from jaxact.experiment import Experiment
 from jaxact.from_gymnasium import from_gymnasium
+from jaxact.gymnasium_adapter import to_gymnasium, to_gymnasium_vector
 from jaxact.gymnax_adapter import to_gymnax
 from jaxact.losses import PPO
 from jaxact.models import ActorCritic, Concatenated, NoMemory
@@ -212,8 +214,11 @@ def test_training_is_reproducible_and_evaluation_apart(trained):
     assert one.metrics["reward/reward"].tolist() == one.episode_return.tolist()
 
 
-def test_resumed_training_begins_new_episodes(trained, tmp_path):
-    """A checkpoint does not hold the simulators: every lane goes on with its next episode."""
+def test_resumed_training_begins_new_episodes(trained, tmp_path, monkeypatch):
+    """A checkpoint does not hold the simulators: every lane goes on with its next episode.
+
+    Though before the run was resumed in vain, by simulators that came apart.
+    """
     small, result = trained
     small.pomdp.environment.close()
     for path in (result.run / "checkpoints").iterdir():
@@ -222,6 +227,15 @@ def test_resumed_training_begins_new_episodes(trained, tmp_path):
     like = Program(small, choose_devices(1)).like()
     restored = Checkpoints(result.run / "checkpoints").restore(None, like).state
     assert not restored.lanes.is_first.all()
+    saved = sorted(path.name for path in (result.run / "checkpoints").iterdir())
+    monkeypatch.setattr(Countdown, "comes_apart_at", 3)
+    with pytest.raises(
+        JaxactError, match=r"^simulator \d of Countdown failed .*'left' .* \(NaN\)$"
+    ):
+        train(small, seed=1, resume=result.run, **{**OPTIONS, "evaluation_episodes": 0})
+    monkeypatch.undo()
+    assert sorted(path.name for path in (result.run / "checkpoints").iterdir()) == saved
+    small.pomdp.environment.close()
     Countdown.resets.clear()
     resumed = train(small, seed=1, resume=result.run, **{**OPTIONS, "evaluation_episodes": 0})
     assert resumed.metrics["step"].tolist() == [192, 256]
@@ -286,12 +300,32 @@ def test_states_that_are_not_the_latest_are_refused():
         jax.block_until_ready(step(key, state, jnp.int32(0)))
 
 
+def test_actions_of_other_shapes_are_refused():
+    pomdp = countdown()
+    state, _ = jax.eval_shape(pomdp.reset, jax.random.key(0))
+    message = r"an action of Countdown has the shape \(\), not \(2,\)"
+    with pytest.raises(JaxactError, match=message):
+        jax.eval_shape(pomdp.step, jax.random.key(0), state, jnp.zeros(2, jnp.int32))
+
+
 def test_lanes_that_share_an_episode_are_refused():
     pomdp = countdown()
     keys = jnp.stack([jax.random.key(0)] * 2)
     state, _ = jax.vmap(pomdp.reset)(keys)
     with pytest.raises(JaxactError, match="another lane is playing the same episode"), explained():
         jax.block_until_ready(jax.vmap(pomdp.step)(keys, state, jnp.zeros(2, jnp.int32)))
+
+
+def test_gymnasiums_code_is_told_what_failed(monkeypatch):
+    """Where the bridge is crossed both ways."""
+    pomdp = countdown(2)
+    with pytest.raises(JaxactError, match="num_envs is 3, but the world can be simulated 2 times"):
+        to_gymnasium_vector(pomdp, 3)
+    monkeypatch.setattr(Countdown, "fails_at", 1)
+    env = to_gymnasium(pomdp)
+    env.reset(seed=0)
+    with pytest.raises(JaxactError, match=r"^simulator \d of Countdown failed at step 0 "):
+        env.step(0)
 
 
 def test_more_episodes_than_simulators_are_refused():
@@ -308,9 +342,7 @@ def test_more_episodes_than_simulators_are_refused():
 def test_a_simulator_that_fails_says_so_in_one_sentence(trained, monkeypatch, capfd):
     small, result = trained
     monkeypatch.setattr(Countdown, "fails_at", 3)
-    message = (
-        r"^a simulator failed at step 2 of the episode with seed \d+: RuntimeError: a joint is"
-    )
+    message = r"^simulator \d of Countdown failed at step 2 of the episode with seed \d+: Runtime"
     with pytest.raises(JaxactError, match=message) as failure:
         evaluate_policy(small.pomdp, result.policy, 11)
     assert isinstance(failure.value.__cause__, RuntimeError)
@@ -351,8 +383,8 @@ def test_spaces_are_checked():
 
 def with_spaces(observation=None, action=None):
     env = Countdown()
-    env.observation_space = observation or env.observation_space
-    env.action_space = action or env.action_space
+    env.observation_space = env.observation_space if observation is None else observation
+    env.action_space = env.action_space if action is None else action
     return lambda: env
 
 
@@ -378,6 +410,109 @@ def test_what_cannot_be_a_world():
         from_gymnasium(Countdown, patience=3)
     with pytest.raises(JaxactError, match="simulators of a simulated world must be at least 1"):
         from_gymnasium(Countdown, simulators=0)
+    with pytest.raises(JaxactError, match=r"no space like Gymnasium's Box\(.*\(0,\)"):
+        from_gymnasium(with_spaces(gymnasium.spaces.Box(0, 1, (0,))))
+    with pytest.raises(JaxactError, match="space of observations is an empty dict"):
+        from_gymnasium(with_spaces(gymnasium.spaces.Dict({})))
+    with pytest.raises(JaxactError, match="need strings for names, not 1"):
+        from_gymnasium(with_spaces(gymnasium.spaces.Dict({1: gymnasium.spaces.Discrete(2)})))
+    with pytest.raises(
+        JaxactError, match="horizon of simulated episodes must be at least 1, got 0"
+    ):
+        countdown(horizon=0)
+    with pytest.raises(JaxactError, match="held_out_seeds of simulated episodes must be at least"):
+        countdown(held_out_seeds=-1)
+    with pytest.raises(JaxactError, match=r"1 action_names, but the actions are Discrete\(n=2\)"):
+        countdown(action_names=("wait",))
+    with pytest.raises(JaxactError, match=r"a sequence of names, as \('taken',\)"):
+        from_gymnasium(Countdown, metrics="taken")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (Countdown(), r"environment has to be what makes one .*, but it is <"),
+        (lambda: 1 / 0, "the environment cannot be made: ZeroDivisionError: division by zero"),
+        (dict, r"made no gymnasium.Env, but a builtins.dict"),
+    ],
+)
+def test_what_makes_no_environment_is_refused(make, message):
+    with pytest.raises(JaxactError, match=message):
+        from_gymnasium(make)
+    with pytest.raises(JaxactError, match=message.replace("environment has", "held_out has")):
+        from_gymnasium(Countdown, held_out=make)
+
+
+def test_options_that_an_environment_lacks_are_refused():
+    with pytest.raises(
+        JaxactError, match=r"cannot be made: TypeError: CartPoleEnv.* argument 'siz'"
+    ):
+        from_gymnasium("CartPole-v1", siz=3)
+    with pytest.raises(JaxactError, match=r"all simulators' observations are .*'left'.*, but this"):
+        from_gymnasium(Countdown, held_out=functools.partial(gymnasium.make, "CartPole-v1"))
+
+
+class Saying(gymnasium.Env):
+    """Says in a step what it was made to say."""
+
+    observation_space = gymnasium.spaces.Dict(
+        {"x": gymnasium.spaces.Box(0, 2**40, (1,), np.int64), "kind": gymnasium.spaces.Discrete(3)}
+    )
+    action_space = gymnasium.spaces.Discrete(2)
+
+    def __init__(self, said):
+        self.said = said
+
+    def reset(self, seed=None, options=None):
+        return {"x": np.array([2**30]), "kind": 2}, {}
+
+    def step(self, action):
+        return self.said
+
+
+GOOD = {"x": np.array([1]), "kind": 0}
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        (
+            (GOOD, 0.0, False, {}),
+            "no five of observation, reward, terminated, truncated and `info`",
+        ),
+        ((GOOD, None, False, False, {}), "its reward is None, where a finite number is needed"),
+        ((GOOD, np.nan, False, False, {}), "its reward is nan, where a finite number"),
+        ((GOOD, np.ones(2), False, False, {}), r"its reward is \[1\. 1\.\], where a finite number"),
+        (({"x": [1]}, 0.0, False, False, {}), r"its space has 'kind', but it observed \['x'\]"),
+        ((np.ones(1), 0.0, False, False, {}), "its space has 'kind', but it observed ndarray"),
+        (
+            (GOOD | {"x": ["a"]}, 0.0, False, False, {}),
+            "'x' of what it observed is no array of num",
+        ),
+        ((GOOD | {"x": [2**35]}, 0.0, False, False, {}), "'x' .* has numbers that are no int32"),
+        (
+            (GOOD | {"kind": 3}, 0.0, False, False, {}),
+            "'kind' of what it observed is 3, not in 0 … 2",
+        ),
+    ],
+)
+def test_what_is_said_is_checked(said, message):
+    """Before it comes into a compiled program."""
+    simulators = from_gymnasium(functools.partial(Saying, said), simulators=1).environment.pool(
+        False
+    )
+    (answer,) = simulators.host.ask({0: 1}).values()
+    assert [x.tolist() for x in answer.observation] == [2, [2**30]]
+    (answer,) = simulators.host.ask({0: (np.int32(0),)}).values()
+    assert isinstance(answer, JaxactError)
+    assert re.search(message, str(answer))
+
+
+def test_a_reward_may_be_an_array_of_one_number():
+    make = functools.partial(Saying, (GOOD, np.ones(1), False, False, {}))
+    simulators = from_gymnasium(make, simulators=1).environment.pool(False)
+    simulators.host.ask({0: 1})
+    assert simulators.host.ask({0: (np.int32(0),)})[0].numbers.tolist() == [1, 0, 0, -1]
 
 
 def test_what_copies_states_is_refused():

@@ -10,6 +10,7 @@ import pytest
 
 from jaxact import Experiment, JaxactError, Stage, TrainingPipeline, make_key, train, train_state
 from jaxact.checkpoints import Checkpoints
+from jaxact.evaluation import evaluate_policy
 from jaxact.losses import PPO, SAC, Critic
 from jaxact.models import ActorCritic, Concatenated, NoMemory, Normalized
 from jaxact.models.normalized import observed
@@ -122,8 +123,10 @@ def test_a_rollout_is_taken_in_after_it_was_learnt_from(monkeypatch):
 
 @pytest.mark.slow
 def test_a_run_is_resumed_with_its_statistics(tmp_path):
+    """To which evaluations add nothing."""
     small = experiment()
-    whole = train(small, seed=1, output=tmp_path, **OPTIONS)
+    whole = train(small, seed=1, output=tmp_path, evaluate_every=UPDATE, **OPTIONS)
+    assert len(list((whole.run / "evaluation").iterdir())) == 4
     assert float(moments_of(whole.state.params).count) == 4 * UPDATE
     for path in (whole.run / "checkpoints").iterdir():
         if int(path.name) > 2 * UPDATE:
@@ -131,8 +134,10 @@ def test_a_run_is_resumed_with_its_statistics(tmp_path):
     like = Program(small, choose_devices(1)).like()
     saved = Checkpoints(whole.run / "checkpoints").restore(None, like).state
     assert float(moments_of(saved.params).count) == 2 * UPDATE
-    resumed = train(small, seed=1, resume=whole.run, **OPTIONS)
+    resumed = train(small, seed=1, resume=whole.run, evaluate_every=0, **OPTIONS)
     assert_same(resumed.state, whole.state)
+    again = evaluate_policy(small.pomdp, whole.policy, OPTIONS["evaluation_episodes"], seed=1)
+    assert_same(again.episode_return, whole.evaluation.episode_return)
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from jaxact import JaxactError
+from jaxact.simulator_hosts import LocalHost, Reading
 from jaxact.simulators import (
     EPISODE,
     HORIZON,
@@ -12,7 +13,6 @@ from jaxact.simulators import (
     STEPS,
     TERMINATED,
     WIDTH,
-    Reading,
     Simulators,
     seed_of,
 )
@@ -45,7 +45,8 @@ class Counter:
 
 def pool(limit, threads=0):
     Counter.made = 0
-    return Simulators(Counter, limit, threads, [jax.ShapeDtypeStruct((2,), np.int32)], 0)
+    shapes = [jax.ShapeDtypeStruct((2,), np.int32)]
+    return Simulators(LocalHost(Counter, threads), limit, shapes, 0)
 
 
 def tickets(*episodes, horizon=10):

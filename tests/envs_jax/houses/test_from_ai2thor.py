@@ -171,6 +171,8 @@ def test_bad_input_is_answered_in_a_sentence(monkeypatch):
         world("pointnav")
     with pytest.raises(JaxactError, match="view of AI2-THOR 'rbg'; the nearest is 'rgb'"):
         world(scenes=SCENES[:1], observation=("rbg",))
+    with pytest.raises(JaxactError, match=r"scenes is a sequence of names, as \('FloorPlan1',\)"):
+        world(scenes="FloorPlan1")
     with pytest.raises(JaxactError, match="either episodes or the names of scenes"):
         world()
     with pytest.raises(JaxactError, match="episode 'b' must have a point to go to"):

@@ -22,7 +22,7 @@ SIGNATURES: dict[str, tuple[set[str], set[str]]] = {
     "Teleport": (set(), {"position", "rotation", "horizon", "standing", "forceAction"}),
     "GetReachablePositions": (set(), {"gridSize"}),
     "GetShortestPath": ({"objectType", "position"}, {"allowedError", "rotation"}),
-    "GetShortestPathToPoint": ({"position", "x", "y", "z"}, {"allowedError"}),
+    "GetShortestPathToPoint": ({"position", "target"}, {"allowedError"}),
 }
 
 
@@ -109,8 +109,9 @@ class StandIn:
         return self._event(returned={"corners": [_vector(start), _vector(nearest, HEIGHT)]})
 
     def _GetShortestPathToPoint(
-        self, position: dict[str, float], x: float, y: float, z: float, allowedError: float
+        self, position: dict[str, float], target: dict[str, float], allowedError: float
     ) -> SimpleNamespace:
+        x, y, z = (target[axis] for axis in "xyz")
         if not self._inside(x, z) or allowedError < 0.1:
             return self._event("no path")
         # Off by a little, as paths on a mesh are.

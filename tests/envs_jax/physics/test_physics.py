@@ -7,8 +7,13 @@ import pytest
 
 from envs_jax.physics import BodySensor, JointSensor, ModelSensor, NoisyStart, Physics
 from envs_jax.physics.locomotion import Balance
+from jaxact import Experiment, Stage, TrainingPipeline, train
+from jaxact.checkpoints import Checkpoints
 from jaxact.errors import JaxactError
+from jaxact.losses import PPO
+from jaxact.models import ActorCritic, Concatenated, NoMemory
 from jaxact.pomdp import POMDP
+from tests.tiny import Plain
 
 # A ball in a slide over a floor, with all that a model can sense of it.
 BALL = """
@@ -108,6 +113,28 @@ def test_a_simulation_that_comes_apart_ends_the_episode_where_it_was_sound(start
     np.testing.assert_array_equal(after.environment.position, state.environment.position)
 
 
+@pytest.mark.slow
+def test_training_goes_on_where_simulations_come_apart(tmp_path):
+    """A motor that tears the ball away in each episode's first step: episodes end, and no loss."""
+    source = BALL[: BALL.index("<sensor>")] + "</mujoco>"
+    source = source.replace('joint="along" ctrlrange', 'joint="along" gear="1e30" ctrlrange')
+    world = Physics(source)
+    sensors = {"x": JointSensor(world)}
+    pomdp = POMDP(world, Balance(lean=9.0), NoisyStart(world, 0.1, 0.1), sensors)
+    model = ActorCritic(pomdp.action_space, Concatenated({"x": Plain()}), NoMemory())
+    pipeline = TrainingPipeline(
+        (Stage({"ppo": PPO()}, steps=64),), lanes=4, rollout_length=4, epochs=1, minibatches=1
+    )
+    result = train(
+        Experiment("apart", pomdp, model, pipeline), output=tmp_path, log_every=16,
+        checkpoint_every=32, evaluation_episodes=4, progress=False,
+    )  # fmt: skip
+    assert result.evaluation.metrics["task/diverged"].tolist() == [1] * 4
+    assert result.evaluation.length.tolist() == [1] * 4
+    assert all(np.isfinite(x).all() for x in jax.tree.leaves(result.policy.params))
+    assert Checkpoints(result.run / "checkpoints").steps() == [32, 64]
+
+
 @pytest.mark.parametrize(
     ("source", "message"),
     [
@@ -118,7 +145,9 @@ def test_a_simulation_that_comes_apart_ends_the_episode_where_it_was_sound(start
             "cannot read this MJCF: .*gone.stl",
         ),
         ("<mujoco/>", "no actuators"),
-        (BALL.replace(' ctrlrange="-2 2"', ""), "'push' has no ctrlrange"),
+        (BALL.replace(' ctrlrange="-2 2"', ""), r"'push' \(number 1\) has no ctrlrange"),
+        (BALL.replace('timestep="0.01"', 'timestep="0"'), "timestep is 0.0, and has to be above 0"),
+        (None, "needs an MJCF file's path, or its text, not None"),
         (BALL.replace('timestep="0.01"', 'integrator="implicit"'), "MJX cannot simulate"),
     ],
 )
@@ -134,3 +163,32 @@ def test_names_that_the_model_lacks_are_refused():
         ModelSensor(WORLD, "tuch")
     with pytest.raises(JaxactError, match="substeps of a physics world must be at least 1, got 0"):
         Physics(BALL, substeps=0)
+    with pytest.raises(
+        JaxactError, match="substeps of a physics world must be a whole number, got"
+    ):
+        Physics(BALL, substeps=1.5)
+    with pytest.raises(JaxactError, match=r"a class of envs_jax.physics.Controller, not 'moves'"):
+        Physics(BALL, controller="moves")
+    with pytest.raises(JaxactError, match="kind of a model's parts 'bdy'; the nearest is 'body'"):
+        WORLD.index("bdy", "ball")
+    with pytest.raises(JaxactError, match="horizon of a noisy start's episodes must be at least 1"):
+        NoisyStart(WORLD, 0.0, 0.0, horizon=0)
+
+
+def test_numbers_that_the_model_has_no_joints_or_actuators_for_are_refused():
+    two, three = jnp.zeros(2, jnp.float32), jnp.zeros(3, jnp.float32)
+    with pytest.raises(
+        JaxactError, match=r"velocity in this model has the shape \(2,\), not \(3,\)"
+    ):
+        jax.eval_shape(WORLD.start, two, three)
+    with pytest.raises(
+        JaxactError, match=r"the action in this model has the shape \(2,\), not \(3,\)"
+    ):
+        jax.eval_shape(WORLD.step, KEY, jax.eval_shape(WORLD.start, two, two), three)
+
+
+def test_a_model_may_be_a_path_or_begin_with_the_mark_of_its_byte_order(tmp_path):
+    path = tmp_path / "ball.xml"
+    path.write_text(BALL)
+    assert Physics(path).source == str(path)
+    assert Physics("\ufeff" + BALL).model.nu == 2
