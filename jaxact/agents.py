@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 
-from jaxact.pomdp import Outcome, PyTree, Sensor, Task
+from jaxact.errors import JaxactError
+from jaxact.pomdp import POMDP, Dependent, Expert, ExpertAction, Outcome, PyTree, Sensor, Task
 from jaxact.spaces import Agents
 
 if TYPE_CHECKING:
     from jaxact.losses.base import Batch
-    from jaxact.pomdp import ExpertAction
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,8 @@ class MixedRewards(Task):
 
     Every component of the reward becomes own · rᵢ + others · Σⱼ≠ᵢ rⱼ. (1, 0) is the task itself,
     (1, 1) one reward for the team, and (1, α) the prosocial agents of A. Peysakhovich and A. Lerer,
-    "Prosocial learning agents solve generalized Stag Hunts better than selfish ones", 2017.
+    "Prosocial learning agents solve generalized Stag Hunts better than selfish ones", 2017. The
+    task's expert, if it has one, is that of this task too.
 
     Attributes:
       task: whose rewards they are.
@@ -61,6 +62,21 @@ class MixedRewards(Task):
     task: Task
     own: float = 1.0
     others: float = 0.0
+
+    def __new__(cls, task: Task | None = None, *args: Any, **kwargs: Any) -> MixedRewards:
+        """Makes a task that can be demonstrated of one that can."""
+        demonstrated = cls is MixedRewards and isinstance(task, Expert)
+        return super().__new__(MixedRewardsWithExpert if demonstrated else cls)
+
+    def check(self, pomdp: POMDP) -> None:
+        """Refuses a world of one agent, and what the task refuses."""
+        if not isinstance(pomdp.action_space, Agents):
+            raise JaxactError(
+                "rewards are mixed among several agents, and this is a world of one without an "
+                "axis of agents"
+            )
+        if isinstance(self.task, Dependent):
+            self.task.check(pomdp)
 
     def step(
         self, task_state: PyTree, before: PyTree, action: PyTree, after: PyTree
@@ -73,9 +89,14 @@ class MixedRewards(Task):
 
         return task_state, replace(outcome, reward={n: mix(x) for n, x in outcome.reward.items()})
 
+
+class MixedRewardsWithExpert(MixedRewards):
+    """What `MixedRewards` makes of a task with an expert."""
+
     def expert(self, key: jax.Array, task_state: PyTree, state: PyTree) -> ExpertAction:
-        """That of the task."""
-        return self.task.expert(key, task_state, state)  # type: ignore[attr-defined]
+        """Returns the action of the task's expert."""
+        assert isinstance(self.task, Expert)
+        return self.task.expert(key, task_state, state)
 
 
 def as_lanes(tree: PyTree, lead: int) -> PyTree:

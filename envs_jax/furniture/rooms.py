@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from envs_jax.furniture.footprints import CELL
-from envs_jax.houses.importers.reading import read_array
+from envs_jax.houses.importers.reading import LARGEST, read_array
 from jaxact.errors import JaxactError
 
 # In written maps: where agents can stand; what only furniture that is carried passes over; neither.
@@ -153,6 +153,8 @@ def read_map(path: str | Path) -> tuple[str, ...]:
         raise JaxactError(
             f"{path} must be points float [n, 2], not {points.dtype}{list(points.shape)}"
         )
+    if not np.abs(points).max() <= LARGEST:
+        raise JaxactError(f"{path} must be points no further than {LARGEST:g} m from the origin")
     steps = points / CELL
     if not np.abs(steps - np.round(steps)).max() <= 0.01:
         raise JaxactError(f"{path} must be points of a grid of {CELL} m")

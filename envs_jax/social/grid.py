@@ -6,9 +6,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxact.errors import JaxactError
+
 MOVES = ("left", "down", "right", "up")
 # What each move adds to a cell; rows count downwards.
 _DELTAS = np.array([[-1, 0], [0, 1], [1, 0], [0, -1]], np.int32)
+
+
+def check_counts(agents: int, plants: int) -> None:
+    """Refuses a world without agents or without plants."""
+    for name, count in (("agents", agents), ("plants", plants)):
+        if count < 1:
+            raise JaxactError(f"{name} must be at least 1, got {count}")
 
 
 def move(cells: jax.Array, action: jax.Array, size: int) -> jax.Array:
@@ -34,11 +43,14 @@ def choose(draw: jax.Array, allowed: jax.Array) -> jax.Array:
       draw: uniform in [0, 1).
       allowed: bool [n].
     """
-    rank = jnp.cumsum(allowed, dtype=jnp.int32)
+    # On processors a product with a triangle costs less than a running sum, which XLA splits into
+    # many steps; counts are exact in it at any precision of products, since factors are 0 or 1.
+    upto = np.triu(np.ones((allowed.shape[0],) * 2, np.float32))
+    rank = (allowed.astype(jnp.float32) @ jnp.asarray(upto)).astype(jnp.int32)
     count = rank[-1]
     # The product may round up to the count.
     chosen = jnp.minimum((draw * count.astype(jnp.float32)).astype(jnp.int32), count - 1)
-    return jnp.argmax(rank > chosen).astype(jnp.int32)
+    return jnp.sum(rank <= chosen, dtype=jnp.int32)
 
 
 def occupied(cells: jax.Array, size: int) -> jax.Array:

@@ -57,6 +57,7 @@ class Harvest(Environment):
     dies: float = 0.1
 
     def __post_init__(self) -> None:
+        grid.check_counts(self.agents, self.plants)
         if self.size**2 < self.agents + self.plants:
             raise JaxactError(
                 f"a grid of {self.size}×{self.size} has no room for {self.agents} agents and "

@@ -66,7 +66,7 @@ class MapSensor(Sensor):
             # The others' list is as long as all agents', with one of the others in one's own place.
             others = jnp.where(
                 (jnp.arange(count) == agent)[:, None],
-                state.agents[(agent + 1) % count],
+                state.agents[(agent + 1) % count] if count > 1 else -1,
                 state.agents,
             )
             return planes([state.agents[agent][None], others, *things], size)

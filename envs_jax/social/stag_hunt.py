@@ -70,6 +70,7 @@ class StagHunt(Environment):
     def __post_init__(self) -> None:
         if self.stag not in STAGS:
             raise unknown("stag", self.stag, STAGS)
+        grid.check_counts(self.agents, self.plants)
         needed = self.agents + self.plants + self.stag_side**2
         if self.stag_side < 1 or self.size**2 < needed or self.stag_side >= self.size:
             raise JaxactError(

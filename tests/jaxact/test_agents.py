@@ -180,6 +180,20 @@ def test_rewards_are_mixed():
     np.testing.assert_allclose(rewards(0.0, 1.0)[1], [0.0, 1.0])
 
 
+def test_mixing_gives_no_task_an_expert_and_takes_none_away():
+    for pomdp, has in ((envs_jax.make("Markov-StagHunt-v0"), False), (crowd(2), True)):
+        mixed = dataclasses.replace(pomdp, task=MixedRewards(pomdp.task, others=1.0))
+        assert mixed.has_expert is has
+        again = dataclasses.replace(mixed, task=dataclasses.replace(mixed.task, own=0.5))
+        assert again.has_expert is has
+
+
+def test_rewards_of_one_are_not_mixed():
+    alone = corridor(length=6)
+    with pytest.raises(JaxactError, match="a world of one without an axis of agents"):
+        dataclasses.replace(alone, task=MixedRewards(alone.task))
+
+
 def test_one_reading_for_all():
     sensor = ForAll(CellAndGoal(), 3)
     reading = sensor.observe(jnp.int32(2), jnp.int32(5))

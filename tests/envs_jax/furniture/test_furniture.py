@@ -348,6 +348,10 @@ def test_rooms_are_read_from_reachable_points(tmp_path):
     np.save(tmp_path / "points.npy", points * 1.1)
     with pytest.raises(JaxactError, match=r"grid of 0\.25 m"):
         read_map(tmp_path / "points.npy")
+    for mistake in (np.nan, np.inf, 1e300):
+        np.save(tmp_path / "points.npy", [[0.0, 0.0], [0.0, mistake]])
+        with pytest.raises(JaxactError, match="no further than 5000 m from the origin"):
+            read_map(tmp_path / "points.npy")
 
 
 def test_what_cannot_be_is_refused():

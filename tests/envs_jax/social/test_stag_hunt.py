@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import envs_jax
-from envs_jax.social import StagHunt
+from envs_jax.social import StagHunt, grid
 from envs_jax.social.stag_hunt import StagHuntState
 from jaxact import JaxactError
+from jaxact.agents import MixedRewards
 from jaxact.testing import check_pomdp
 from tests.envs_jax.social.stag_hunt_rules import body, outcomes, stag_moves, stag_places
 
@@ -121,3 +122,28 @@ def test_what_cannot_be_is_refused():
     pomdp = envs_jax.make("Markov-StagHunt-v0")
     with pytest.raises(JaxactError, match="takes 3 hunters, the environment's 2"):
         dataclasses.replace(pomdp, task=dataclasses.replace(pomdp.task, hunters=3))
+    with pytest.raises(JaxactError, match="agents must be at least 1, got 0"):
+        envs_jax.make("Markov-StagHunt-v0", agents=0)
+    with pytest.raises(JaxactError, match="plants must be at least 1, got 0"):
+        envs_jax.make("Markov-Harvest-v0", plants=0)
+    task = MixedRewards(dataclasses.replace(pomdp.task, hunters=3), others=1.0)
+    with pytest.raises(JaxactError, match="takes 3 hunters, the environment's 2"):
+        dataclasses.replace(pomdp, task=task)
+
+
+def test_who_is_alone_sees_nobody_else():
+    _, observation = envs_jax.make("Markov-Harvest-v0", agents=1).reset(jax.random.key(0))
+    assert observation["map"][0, ..., :2].sum((0, 1)).tolist() == [1, 0]
+
+
+def test_choices_are_those_of_a_count_by_hand():
+    generator = np.random.default_rng(0)
+    allowed = generator.random((200, 25)) < generator.random((200, 1))
+    allowed[:2] = [[False], [True]]
+    draws = generator.random(200, np.float32)
+    draws[1] = np.nextafter(np.float32(1), np.float32(0))
+    chosen = jax.vmap(grid.choose)(draws, allowed)
+    for index, draw, row in zip(chosen.tolist(), draws, allowed, strict=True):
+        places = np.flatnonzero(row)
+        rank = min(int(draw * np.float32(len(places))), len(places) - 1)
+        assert index == (places[rank] if len(places) else 0)
