@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from jaxact.errors import JaxactError
 from jaxact.frozen import FrozenMapping
-from jaxact.pomdp import Expert, ExpertAction, Outcome, PyTree, Task
+from jaxact.pomdp import POMDP, Dependent, Expert, ExpertAction, Outcome, PyTree, Task
 
 Term = Callable[[PyTree, PyTree, PyTree, PyTree, PyTree], jax.Array]
 
@@ -57,6 +57,11 @@ class Shaped(Task):
         if not self.terms:
             raise JaxactError("there is nothing to shape the task with: give terms by name")
         object.__setattr__(self, "terms", FrozenMapping(self.terms))
+
+    def check(self, pomdp: POMDP) -> None:
+        """Refuses what the task refuses."""
+        if isinstance(self.task, Dependent):
+            self.task.check(pomdp)
 
     def step(
         self, task_state: PyTree, before: PyTree, action: PyTree, after: PyTree

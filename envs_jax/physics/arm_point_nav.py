@@ -22,6 +22,7 @@ from envs_jax.physics.mobile_arm import (
     gap,
     holds,
 )
+from envs_jax.physics.reach import drawn_between
 from jaxact.errors import JaxactError
 from jaxact.pomdp import POMDP, Episode, Outcome, PyTree, Sensor, Task, TaskSampler
 from jaxact.spaces import Box
@@ -239,17 +240,17 @@ class TwoTables(TaskSampler):
         is_left = jax.random.bernoulli(side_key)
         inwards = jnp.where(is_left, jnp.float32([1, -1]), jnp.float32([-1, 1]))[:, None]
         toward = jnp.concatenate([inwards, jnp.ones((2, 1), jnp.float32)], axis=1)
-        tables = _between(table_key, (-1.5, -0.8), (-1.0, 0.8), 2) * toward
+        tables = drawn_between(table_key, (-1.5, -0.8), (-1.0, 0.8), 2) * toward
         x, y, z = HALF_TABLE
         margin, top = 0.05, jnp.full((2, 1), 2 * z + BALL, jnp.float32)
         # The object and the goal are in a near quarter of their tables, other balls across.
-        near = _between(ball_key, (0.0, margin - y), (x - margin, -2 * BALL), 2)
-        across = _between(other_key, (margin - x, 2 * BALL), (x - margin, y - margin), 2)
+        near = drawn_between(ball_key, (0.0, margin - y), (x - margin, -2 * BALL), 2)
+        across = drawn_between(other_key, (margin - x, 2 * BALL), (x - margin, y - margin), 2)
         spots, others = (
             jnp.concatenate([tables + toward * part, top], axis=1) for part in (near, across)
         )
-        robot = _between(robot_key, (-0.3, -0.8, -math.pi), (0.3, 0.8, math.pi), 1)[0]
-        raised = _between(goal_key, (0.0, 0.0, 0.05), (0.0, 0.0, 0.3), 1)[0]
+        robot = drawn_between(robot_key, (-0.3, -0.8, -math.pi), (0.3, 0.8, math.pi), 1)[0]
+        raised = drawn_between(goal_key, (0.0, 0.0, 0.05), (0.0, 0.0, 0.3), 1)[0]
         arm = jnp.zeros(4, jnp.float32)
         state = self.world.start(
             jnp.concatenate([robot, arm, spots[0], others.reshape(-1)]),
@@ -326,10 +327,3 @@ def seen_from(yaw: jax.Array, ways: jax.Array) -> jax.Array:
     ahead = cosine * ways[:, 0] + sine * ways[:, 1]
     left = cosine * ways[:, 1] - sine * ways[:, 0]
     return jnp.concatenate([jnp.stack([ahead, left], axis=1), ways[:, 2:]], axis=1)
-
-
-def _between(
-    key: jax.Array, low: tuple[float, ...], high: tuple[float, ...], count: int
-) -> jax.Array:
-    lows, highs = jnp.array(low, jnp.float32), jnp.array(high, jnp.float32)
-    return lows + (highs - lows) * jax.random.uniform(key, (count, len(low)), jnp.float32)

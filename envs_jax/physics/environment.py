@@ -192,19 +192,25 @@ class Physics(Environment):
         """Returns the number of a named part.
 
         Args:
-          kind: "body", "joint", "geom", "site", "cam", "sensor" or "actuator".
+          kind: "body", "joint", "geom", "site", "camera", "sensor" or "actuator".
           name: in the model.
 
         Raises:
           JaxactError: there is no such kind or name; the message has the nearest.
         """
-        kinds = ("actuator", "body", "geom", "joint", "sensor", "site")
-        if kind not in kinds:
-            raise unknown("kind of a model's parts", kind, kinds)
         model = self.model
-        counts = {"joint": model.njnt, "actuator": model.nu, "sensor": model.nsensor}
-        count = counts.get(kind) or getattr(model, f"n{kind}")
-        names = [getattr(model, kind)(i).name for i in range(count)]
+        counts = {
+            "actuator": model.nu,
+            "body": model.nbody,
+            "camera": model.ncam,
+            "geom": model.ngeom,
+            "joint": model.njnt,
+            "sensor": model.nsensor,
+            "site": model.nsite,
+        }
+        if kind not in counts:
+            raise unknown("kind of a model's parts", kind, counts)
+        names = [getattr(model, kind)(i).name for i in range(counts[kind])]
         if name not in names:
             raise unknown(f"{kind} of the model", name, [n for n in names if n])
         return names.index(name)

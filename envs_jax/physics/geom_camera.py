@@ -54,7 +54,7 @@ class GeomCamera(Sensor):
         check_at_least(1, "a camera", height=self.height, width=self.width)
         if self.kind not in ("depth", "rgb", "segmentation"):
             raise unknown("kind of picture", self.kind, ("depth", "rgb", "segmentation"))
-        model, row = self.world.model, self.world.index("cam", self.camera)
+        model, row = self.world.model, self.world.index("camera", self.camera)
         if model.cam_mode[row] or np.any(model.cam_sensorsize[row]):
             raise JaxactError(
                 f"camera {self.camera!r} tracks a target or is given by its sensor's size: "
@@ -96,7 +96,7 @@ class GeomCamera(Sensor):
 
     def hits(self, state: PhysicsState) -> tuple[jax.Array, jax.Array]:
         """Returns depths float32 [H, W] and geoms int32 [H, W] of the nearest hits."""
-        model, row = self.world.model, self.world.index("cam", self.camera)
+        model, row = self.world.model, self.world.index("camera", self.camera)
         half = math.tan(math.radians(float(model.cam_fovy[row])) / 2)
         across = (2 * np.arange(self.width) + 1 - self.width) * half / self.height
         down = (2 * np.arange(self.height) + 1 - self.height) * half / self.height

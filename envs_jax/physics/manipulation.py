@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from envs_jax.physics.environment import Physics, PhysicsState, check_model
 from envs_jax.physics.hand import CUBE, GRIP, HALF_CUBE, OPEN
-from envs_jax.physics.reach import Reach
+from envs_jax.physics.reach import Reach, drawn_between
 from jaxact.pomdp import POMDP, Episode, Outcome, PyTree, Sensor, Task, TaskSampler
 from jaxact.spaces import Box
 
@@ -161,8 +161,8 @@ class OnTable(TaskSampler):
         del sampler_state
         model = self.world.model
         cube_key, target_key = jax.random.split(key)
-        cube = _between(cube_key, self.cubes, 1)[0]
-        targets = _between(target_key, self.targets, self.candidates)
+        cube = drawn_between(cube_key, *self.cubes, 1)[0]
+        targets = drawn_between(target_key, *self.targets, self.candidates)
         away = jnp.linalg.norm(targets[:, :2] - cube[:2], axis=-1)
         # The first that is far enough, or the farthest.
         target = targets[jnp.argmax(jnp.minimum(away, jnp.float32(self.apart)))]
@@ -193,8 +193,3 @@ class GapSensor(Sensor):
         """Returns the reading."""
         del task_state
         return self.task.gap(state)
-
-
-def _between(key: jax.Array, corners: tuple[Point, Point], count: int) -> jax.Array:
-    low, high = (jnp.array(corner, jnp.float32) for corner in corners)
-    return low + (high - low) * jax.random.uniform(key, (count, 3), jnp.float32)

@@ -193,3 +193,11 @@ class TargetSensor(Sensor):
         """Returns the reading."""
         gap = task_state.target - self.task.place(state)
         return jnp.concatenate([task_state.target, gap])
+
+
+def drawn_between(
+    key: jax.Array, low: tuple[float, ...], high: tuple[float, ...], count: int
+) -> jax.Array:
+    """Draws points float32 [count, D], uniform between two corners of D numbers."""
+    lows, highs = jnp.array(low, jnp.float32), jnp.array(high, jnp.float32)
+    return lows + (highs - lows) * jax.random.uniform(key, (count, len(low)), jnp.float32)

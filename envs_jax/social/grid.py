@@ -6,18 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxact.errors import JaxactError
-
 MOVES = ("left", "down", "right", "up")
 # What each move adds to a cell; rows count downwards.
 _DELTAS = np.array([[-1, 0], [0, 1], [1, 0], [0, -1]], np.int32)
-
-
-def check_counts(agents: int, plants: int) -> None:
-    """Refuses a world without agents or without plants."""
-    for name, count in (("agents", agents), ("plants", plants)):
-        if count < 1:
-            raise JaxactError(f"{name} must be at least 1, got {count}")
 
 
 def move(cells: jax.Array, action: jax.Array, size: int) -> jax.Array:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from envs_jax.social import grid
 from envs_jax.social.maps import MapSensor
-from jaxact.errors import JaxactError
+from jaxact.errors import JaxactError, check_at_least
 from jaxact.pomdp import POMDP, Environment, Episode, Outcome, PyTree, Task, TaskSampler
 from jaxact.spaces import Agents, Discrete
 
@@ -57,7 +57,7 @@ class Harvest(Environment):
     dies: float = 0.1
 
     def __post_init__(self) -> None:
-        grid.check_counts(self.agents, self.plants)
+        check_at_least(1, "Harvest", agents=self.agents, plants=self.plants)
         if self.size**2 < self.agents + self.plants:
             raise JaxactError(
                 f"a grid of {self.size}×{self.size} has no room for {self.agents} agents and "

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from envs_jax.social import grid
 from envs_jax.social.maps import MapSensor
-from jaxact.errors import JaxactError, unknown
+from jaxact.errors import JaxactError, check_at_least, unknown
 from jaxact.pomdp import POMDP, Environment, Episode, Outcome, PyTree, Task, TaskSampler
 from jaxact.spaces import Agents, Discrete
 
@@ -70,7 +70,7 @@ class StagHunt(Environment):
     def __post_init__(self) -> None:
         if self.stag not in STAGS:
             raise unknown("stag", self.stag, STAGS)
-        grid.check_counts(self.agents, self.plants)
+        check_at_least(1, "a stag hunt", agents=self.agents, plants=self.plants)
         needed = self.agents + self.plants + self.stag_side**2
         if self.stag_side < 1 or self.size**2 < needed or self.stag_side >= self.size:
             raise JaxactError(

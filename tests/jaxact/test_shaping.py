@@ -111,6 +111,18 @@ def test_an_expert_passes_through():
     assert not shaped(Undemonstrated()).has_expert
 
 
+@dataclasses.dataclass(frozen=True)
+class Choosy(ReachEnd):
+    def check(self, pomdp):
+        raise JaxactError("the task needs another world")
+
+
+def test_what_the_task_refuses_is_refused():
+    pomdp = corridor(length=6)
+    with pytest.raises(JaxactError, match="the task needs another world"):
+        dataclasses.replace(pomdp, task=Shaped(Choosy(), {"none": lambda *_: 0.0}))
+
+
 def test_it_is_a_dataclass_as_any_other():
     task = shaped().task
     path = "terms.nearness.discount"

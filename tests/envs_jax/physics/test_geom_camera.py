@@ -4,14 +4,13 @@ import math
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
 from envs_jax.physics.environment import Physics
 from envs_jax.physics.geom_camera import GeomCamera
 from jaxact.errors import JaxactError
-
-mujoco = pytest.importorskip("mujoco")
 
 MODEL = """
 <mujoco>
@@ -87,7 +86,9 @@ def test_kinds_of_pictures(world, pictures):
 
 
 def test_what_cannot_be_rendered_is_refused(world):
-    with pytest.raises(JaxactError, match="cam of the model"):
+    with pytest.raises(
+        JaxactError, match="camera of the model 'eyes'; the nearest is 'eye'"
+    ):
         GeomCamera(world, "eyes")
     with pytest.raises(JaxactError, match="kind of picture"):
         GeomCamera(world, "eye", "deep")

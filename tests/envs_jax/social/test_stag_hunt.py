@@ -122,9 +122,9 @@ def test_what_cannot_be_is_refused():
     pomdp = envs_jax.make("Markov-StagHunt-v0")
     with pytest.raises(JaxactError, match="takes 3 hunters, the environment's 2"):
         dataclasses.replace(pomdp, task=dataclasses.replace(pomdp.task, hunters=3))
-    with pytest.raises(JaxactError, match="agents must be at least 1, got 0"):
+    with pytest.raises(JaxactError, match="agents of a stag hunt must be at least 1, got 0"):
         envs_jax.make("Markov-StagHunt-v0", agents=0)
-    with pytest.raises(JaxactError, match="plants must be at least 1, got 0"):
+    with pytest.raises(JaxactError, match="plants of Harvest must be at least 1, got 0"):
         envs_jax.make("Markov-Harvest-v0", plants=0)
     task = MixedRewards(dataclasses.replace(pomdp.task, hunters=3), others=1.0)
     with pytest.raises(JaxactError, match="takes 3 hunters, the environment's 2"):
