@@ -86,9 +86,7 @@ def test_kinds_of_pictures(world, pictures):
 
 
 def test_what_cannot_be_rendered_is_refused(world):
-    with pytest.raises(
-        JaxactError, match="camera of the model 'eyes'; the nearest is 'eye'"
-    ):
+    with pytest.raises(JaxactError, match="camera of the model 'eyes'; the nearest is 'eye'"):
         GeomCamera(world, "eyes")
     with pytest.raises(JaxactError, match="kind of picture"):
         GeomCamera(world, "eye", "deep")
