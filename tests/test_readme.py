@@ -1,4 +1,4 @@
-"""The Python code of the README and of the page on houses runs, block after block."""
+"""The Python code of the README and of the pages beside it runs, block after block."""
 
 import os
 import re
@@ -13,6 +13,7 @@ from jaxact.loading import load_experiment
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 README = REPOSITORY / "README.md"
+ADAPTERS = REPOSITORY / "docs" / "adapters.md"
 # Training takes too long for every day: the same code with fewer steps and episodes.
 SHORTER = {
     "steps=16_000": "steps=1_024",
@@ -22,7 +23,7 @@ SHORTER = {
 
 
 def code_of(text):
-    """Returns the Python blocks as one program with the README's own line numbers."""
+    """Returns the Python blocks as one program with the page's own line numbers."""
     lines, inside = [], False
     for line in text.splitlines():
         if line.startswith("```"):
@@ -33,10 +34,12 @@ def code_of(text):
 
 
 @pytest.mark.parametrize("shortened", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_code_of_the_readme_runs(shortened, tmp_path):
-    text = README.read_text(encoding="utf-8")
-    assert len(re.findall(r"^```python$", text, re.M)) == 14
-    code, flags = code_of(text), {}
+def test_code_of_the_readme_and_of_the_page_on_adapters_runs(shortened, tmp_path):
+    text, page = (path.read_text(encoding="utf-8") for path in (README, ADAPTERS))
+    assert len(re.findall(r"^```python$", text, re.M)) == 9
+    assert len(re.findall(r"^```python$", page, re.M)) == 6
+    # The page begins with all that it goes on from, so that it may follow in the same process.
+    code, flags = code_of(text) + "\n" + code_of(page), {}
     if shortened:
         for long, short in SHORTER.items():
             assert long in code
@@ -56,7 +59,7 @@ def test_code_of_the_readme_runs(shortened, tmp_path):
         check=False,
     )
     assert finished.returncode == 0, finished.stderr
-    *_, success, action, position, pole, sweep, search = finished.stdout.splitlines()
+    *_, success, action, position, sweep, search, pole = finished.stdout.splitlines()
     assert pole == "1.0 False False"
     mean = float(re.search(r"'mean': ([\d.]+)", success)[1])
     assert shortened or mean > 0.5
