@@ -124,20 +124,20 @@ def study(arguments: Arguments) -> None:
             draws=arguments.draws,
             chunk=arguments.chunk,
             output=arguments.sweeps,
-            resume=_newest(arguments.sweeps / experiments[name].name),
+            resume=newest_sweep(arguments.sweeps / experiments[name].name),
         )
         methods = _read(path) | {
             method: {
                 "experiment": f"examples/advisor.py:{name}",
                 "space": SearchSpace.of(space).to_texts(),
-                "commit": _commit(),
+                "commit": this_commit(),
                 "records": found.records,
             }
         }
         _write(arguments.world, {m: methods[m] for m in published if m in methods}, path)
 
 
-def _newest(sweeps: Path) -> Path | None:
+def newest_sweep(sweeps: Path) -> Path | None:
     """Returns the last begun of an experiment's sweeps: directories are named by time of day."""
     return max(sweeps.iterdir(), default=None) if sweeps.is_dir() else None
 
@@ -172,7 +172,7 @@ def _write(world: str, methods: dict[str, Any], path: Path) -> None:
     print(path, *draw_curves(curves, METRIC, False, path.with_suffix("")))
 
 
-def _commit() -> str:
+def this_commit() -> str:
     command = ("git", "rev-parse", "--short", "HEAD")
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 

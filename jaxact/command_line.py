@@ -137,8 +137,8 @@ class SweepArguments(SweepOptions):
     draw: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """PATH=RANGE draws one number of the experiment, for example
     pipeline.learning_rate=log_uniform(1e-4,0.5); may be repeated. Ranges are uniform(LOW,HIGH),
-    log_uniform(LOW,HIGH), normal(MEAN,DEVIATION) and choice(A,B,...); PATH,PATH=RANGE shares a
-    draw."""
+    log_uniform(LOW,HIGH), normal(MEAN,DEVIATION), choice(A,B,...) and in_order(A,B,...), which
+    takes its values one after the other; PATH,PATH=RANGE shares a draw."""
 
     set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """PATH=VALUE overrides one value of the experiment; may be repeated."""

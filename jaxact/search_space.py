@@ -24,7 +24,7 @@ from jaxact.overrides import leaves, numbers
 
 @dataclass(frozen=True)
 class Range:
-    """A distribution of one number; made by `uniform`, `log_uniform`, `normal` or `choice`.
+    """Where one number comes from: `uniform`, `log_uniform`, `normal`, `choice` or `in_order`.
 
     Attributes:
       kind: which of these.
@@ -39,9 +39,9 @@ class Range:
             raise unknown("range", self.kind, _QUANTILES)
         if not all(map(math.isfinite, self.arguments)):
             raise JaxactError(f"{self}: expected finite numbers")
-        if self.kind == "choice":
+        if self.kind in ("choice", "in_order"):
             if not self.arguments:
-                raise JaxactError("choice() needs at least one value to choose from")
+                raise JaxactError(f"{self.kind}() needs at least one value")
         elif len(self.arguments) != 2:
             raise JaxactError(f"{self}: expected two numbers, got {len(self.arguments)}")
         elif self.kind == "normal":
@@ -80,6 +80,11 @@ def choice(*values: float) -> Range:
     return Range("choice", tuple(map(float, values)))
 
 
+def in_order(*values: float) -> Range:
+    """Not at random: the first draw takes the first value, and after the last they begin again."""
+    return Range("in_order", tuple(map(float, values)))
+
+
 def _chosen(quantile: float, *values: float) -> float:
     return values[int(quantile * len(values))]
 
@@ -89,6 +94,7 @@ _QUANTILES: dict[str, Callable[..., float]] = {
     "log_uniform": lambda quantile, low, high: low * (high / low) ** quantile,
     "normal": lambda quantile, mean, deviation: mean + deviation * special.ndtri(quantile),
     "choice": _chosen,
+    "in_order": _chosen,
 }
 
 
@@ -185,10 +191,15 @@ class SearchSpace:
         """
         drawn: dict[str, float] = {}
         for paths, value in self.ranges.items():
-            entropy = (seed, index, zlib.crc32(",".join(paths).encode()))
-            bits = int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0] >> 12)
-            # Halfway between multiples of 2⁻⁵², so that neither 0 nor 1 is drawn.
-            drawn |= dict.fromkeys(paths, value.at((bits + 0.5) / 2**52))
+            if value.kind == "in_order":
+                count = len(value.arguments)
+                quantile = (index % count + 0.5) / count
+            else:
+                entropy = (seed, index, zlib.crc32(",".join(paths).encode()))
+                bits = int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0] >> 12)
+                # Halfway between multiples of 2⁻⁵², so that neither 0 nor 1 is drawn.
+                quantile = (bits + 0.5) / 2**52
+            drawn |= dict.fromkeys(paths, value.at(quantile))
         return drawn
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from jaxact import JaxactError
-from jaxact.search_space import SearchSpace, choice, log_uniform, normal, uniform
+from jaxact.search_space import SearchSpace, choice, in_order, log_uniform, normal, uniform
 from tests.tiny import experiment
 
 RATE, CLIP = "pipeline.learning_rate.start", "pipeline.stages.1.losses.ppo.clip"
@@ -33,6 +33,10 @@ def test_choices_are_equally_likely():
     values, counts = np.unique(drawn(choice(4, 8, 16, 32)), return_counts=True)
     assert values.tolist() == [4.0, 8.0, 16.0, 32.0]
     assert stats.chisquare(counts).pvalue > 0.01
+
+
+def test_values_in_order_are_taken_one_after_the_other_and_again():
+    assert drawn(in_order(3, 1, 2, 7, 5), count=7).tolist() == [3.0, 1.0, 2.0, 7.0, 5.0, 3.0, 1.0]
 
 
 def test_a_draw_depends_on_seed_index_and_path_alone():
@@ -77,7 +81,7 @@ def test_text_reads_back():
         ("a=log_uniform(0,1)", "the lower end must be positive"),
         ("a=normal(0,0)", "the deviation must be positive"),
         ("a=uniform(0,inf)", "expected finite numbers"),
-        ("a=choice()", "at least one value to choose from"),
+        ("a=choice()", "needs at least one value"),
         ("a,a=uniform(0,1)", "a is drawn twice"),
     ],
 )
