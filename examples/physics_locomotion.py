@@ -1,4 +1,4 @@
-"""Gymnasium's bodies walk, swim, hop and reach on MJX, by PPO or soft actor-critic.
+"""Gymnasium's bodies walk, run, swim, hop and reach on MJX, by PPO or soft actor-critic.
 
 python -m jaxact.train examples/physics_locomotion.py:hopper
 
@@ -25,6 +25,8 @@ _BODIES = {
     "half_cheetah": "HalfCheetah",
     "hopper": "Hopper",
     "walker2d": "Walker2d",
+    "ant": "Ant",
+    "humanoid": "Humanoid",
 }
 # A swimmer that looks less far ahead than its strokes last learns to wriggle on the spot.
 _DISCOUNTS: Mapping[str, float] = MappingProxyType({"swimmer": 0.9999})

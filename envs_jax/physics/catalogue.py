@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 from envs_jax.houses.camera import Camera
 from envs_jax.houses.vision import DepthScale, DepthSensor, RGBSensor
@@ -24,6 +25,8 @@ from envs_jax.physics.locomotion import (
     BalanceTwo,
     NoisyStart,
     RunForward,
+    RunUpright,
+    WholeBodySensor,
 )
 from envs_jax.physics.manipulation import (
     IN_THE_AIR,
@@ -64,6 +67,7 @@ class _Body:
       start: of a world and a horizon.
       sensor: of a world.
       horizon: steps.
+      extras: what of MuJoCo's data is kept in the state.
     """
 
     asset: str
@@ -72,6 +76,7 @@ class _Body:
     start: Callable[[Physics, int], TaskSampler]
     sensor: Callable[[Physics], Sensor]
     horizon: int = 1000
+    extras: tuple[str, ...] = ()
 
 
 def _noisy(position: float, velocity: float, normal: bool = False) -> Callable[..., TaskSampler]:
@@ -125,6 +130,33 @@ BODIES = {
         _noisy(5e-3, 5e-3),
         partial(JointSensor, skip=1, fastest=10.0),
     ),
+    "Ant": _Body(
+        "ant.xml",
+        5,
+        lambda world: RunUpright(world, 6000.0, height=(0.2, 1.0), force_bound=1.0),
+        _noisy(0.1, 0.1, normal=True),
+        partial(WholeBodySensor, force_bound=1.0),
+        extras=("cfrc_ext",),
+    ),
+    "Humanoid": _Body(
+        "humanoid.xml",
+        5,
+        # Gymnasium has no threshold for it.
+        lambda world: RunUpright(
+            world,
+            float("inf"),
+            height=(1.0, 2.0),
+            forward=1.25,
+            control=0.1,
+            contact=5e-7,
+            cost_bound=10.0,
+            healthy=5.0,
+            whole=True,
+        ),
+        _noisy(0.01, 0.01),
+        WholeBodySensor,
+        extras=("cinert", "cvel", "qfrc_actuator", "cfrc_ext", "subtree_com"),
+    ),
 }
 
 
@@ -142,7 +174,11 @@ def gymnasium_body(name: str, *, horizon: int | None = None) -> POMDP:
       JaxactError: Gymnasium, whose models these are, is not installed.
     """
     body = BODIES[name]
-    world = Physics(gymnasium_asset(body.asset), body.substeps)
+    source = gymnasium_asset(body.asset)
+    if name == "Humanoid":
+        # MJX does not have the solver that the file asks for, an older one of MuJoCo's.
+        source = Path(source).read_text().replace('solver="PGS"', 'solver="Newton"')
+    world = Physics(source, body.substeps, extras=body.extras)
     start = body.start(world, body.horizon if horizon is None else horizon)
     return POMDP(world, body.task(world), start, {"joints": body.sensor(world)})
 

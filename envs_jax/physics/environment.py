@@ -16,11 +16,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from envs_jax.physics.capsules import capsules_as_in_c
 from envs_jax.physics.models import device_model, host_model, mjx
 from jaxact.errors import JaxactError, check_at_least, unknown
 from jaxact.pomdp import POMDP, Environment, PyTree
 from jaxact.spaces import Box, Space
 
+# What of MuJoCo's data can be kept in the state besides, see `Physics.extras`.
+EXTRAS = ("cinert", "cvel", "qfrc_actuator", "cfrc_ext", "subtree_com")
 # What MuJoCo takes for a simulation that has come apart (mjMAXVAL).
 _TOO_LARGE = 1e10
 
@@ -65,6 +68,7 @@ class PhysicsState:
       diverged: bool scalar: the last step led to numbers that are none, or beyond all bounds, and
         was not taken.
       variation: of the episode's model; None for the model as it was read.
+      extras: float32 each, what the world keeps besides, by MuJoCo's names.
     """
 
     position: jax.Array
@@ -81,6 +85,7 @@ class PhysicsState:
     readings: jax.Array
     diverged: jax.Array
     variation: Variation | None = None
+    extras: dict[str, jax.Array] = field(default_factory=dict)
 
 
 class Controller(ABC):
@@ -129,6 +134,11 @@ class Physics(Environment):
         model by its path, so what is in the file must stay the same.
       substeps: of the simulation in a step.
       controller: what takes the actions; None for the actuators themselves.
+      extras: what of MuJoCo's data states have besides, of `EXTRAS`: "cinert" [nbody, 10], inertia
+        of bodies about their tree's centre of mass; "cvel" [nbody, 6], their velocities there;
+        "qfrc_actuator" [nv], the actuators' forces on the joints; "cfrc_ext" [nbody, 6], torque and
+        force from outside on bodies, 0 where an episode begins; "subtree_com" [nbody, 3], centres
+        of mass of bodies with all that hangs on them.
 
     Raises:
       JaxactError: the model cannot be read or simulated, has no actuators or one without a range.
@@ -137,6 +147,7 @@ class Physics(Environment):
     source: str = field(repr=False)
     substeps: int = 1
     controller: Controller | None = None
+    extras: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if isinstance(self.source, os.PathLike):
@@ -151,6 +162,9 @@ class Physics(Environment):
                 "the controller of a physics world is an object of a class of "
                 f"envs_jax.physics.Controller, not {self.controller!r}"
             )
+        for name in self.extras:
+            if name not in EXTRAS:
+                raise unknown("quantity of MuJoCo's data", name, EXTRAS)
         device_model(self.source)
         model = self.model
         if not model.opt.timestep > 0:
@@ -247,11 +261,14 @@ class Physics(Environment):
                 data = data.replace(mocap_quat=mocap_rotation)
             # Readings need forces. Where there are none, poses are enough.
             if self.model.nsensor:
-                data = mjx().forward(model, data)
+                with capsules_as_in_c():
+                    data = mjx().forward(model, data)
                 data = data.replace(qacc_warmstart=jnp.zeros_like(data.qacc_warmstart))
             else:
                 data = mjx().kinematics(model, data)
-        return _state(data, jnp.bool_(False), variation)
+                if self.extras:
+                    data = mjx().com_vel(model, mjx().com_pos(model, data))
+        return self._state(data, jnp.bool_(False), variation)
 
     def step(self, key: jax.Array, state: PhysicsState, action: PyTree) -> PhysicsState:
         """Simulates `substeps` steps with one action; `key` is not used."""
@@ -265,7 +282,7 @@ class Physics(Environment):
                 )
             return mjx().step(model, data)
 
-        with jax.numpy_dtype_promotion("standard"):
+        with jax.numpy_dtype_promotion("standard"), capsules_as_in_c():
             data = mjx().make_data(model)
             data = data.replace(
                 qpos=state.position,
@@ -282,10 +299,12 @@ class Physics(Environment):
                 data = jax.lax.fori_loop(0, self.substeps, advance, data)
             else:
                 data = advance(0, data)
+            if "cfrc_ext" in self.extras:
+                data = mjx().rne_postconstraint(model, data)
         moving = jnp.concatenate([data.qpos, data.qvel, data.act])
         # Numbers that are none are not below the bound.
         is_sound = jnp.all(jnp.abs(moving) < _TOO_LARGE)
-        after = _state(data, ~is_sound, state.variation)
+        after = self._state(data, ~is_sound, state.variation)
         kept = jax.tree.map(lambda new, old: jnp.where(is_sound, new, old), after, state)
         return replace(kept, diverged=~is_sound)
 
@@ -319,6 +338,31 @@ class Physics(Environment):
             geom_friction=model.geom_friction * variation.friction[:, None],
             actuator_gainprm=model.actuator_gainprm * gains,
             actuator_biasprm=model.actuator_biasprm * gains,
+        )
+
+    def _state(self, data: Any, diverged: jax.Array, variation: Variation | None) -> PhysicsState:
+        def floats(x: Any) -> jax.Array:
+            return jnp.asarray(x, jnp.float32)
+
+        def find(name: str) -> jax.Array:
+            return getattr(data._impl if hasattr(data._impl, name) else data, name)
+
+        return PhysicsState(
+            position=floats(data.qpos),
+            velocity=floats(data.qvel),
+            activation=floats(data.act),
+            warm_start=floats(data.qacc_warmstart),
+            time=floats(data.time),
+            mocap_position=floats(data.mocap_pos),
+            mocap_rotation=floats(data.mocap_quat),
+            body_position=floats(data.xpos),
+            body_rotation=floats(data.xquat),
+            site_position=floats(data.site_xpos),
+            constraint_force=floats(data.qfrc_constraint),
+            readings=floats(data.sensordata),
+            diverged=diverged,
+            variation=variation,
+            extras={name: floats(find(name)) for name in self.extras},
         )
 
     @property
@@ -366,25 +410,3 @@ def _subtree_sum(model: Any, values: jax.Array) -> jax.Array:
                 break
             parent = int(model.body_parentid[parent])
     return jnp.asarray(hangs) @ values
-
-
-def _state(data: Any, diverged: jax.Array, variation: Variation | None) -> PhysicsState:
-    def floats(x: Any) -> jax.Array:
-        return jnp.asarray(x, jnp.float32)
-
-    return PhysicsState(
-        position=floats(data.qpos),
-        velocity=floats(data.qvel),
-        activation=floats(data.act),
-        warm_start=floats(data.qacc_warmstart),
-        time=floats(data.time),
-        mocap_position=floats(data.mocap_pos),
-        mocap_rotation=floats(data.mocap_quat),
-        body_position=floats(data.xpos),
-        body_rotation=floats(data.xquat),
-        site_position=floats(data.site_xpos),
-        constraint_force=floats(data.qfrc_constraint),
-        readings=floats(data.sensordata),
-        diverged=diverged,
-        variation=variation,
-    )

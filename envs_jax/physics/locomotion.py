@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from envs_jax.physics.environment import Physics, PhysicsState
-from jaxact.errors import check_at_least
-from jaxact.pomdp import Episode, Outcome, PyTree, Sensor, Task, TaskSampler
+from envs_jax.physics.environment import Physics, PhysicsState, check_model
+from jaxact.errors import JaxactError, check_at_least
+from jaxact.pomdp import POMDP, Episode, Outcome, PyTree, Sensor, Task, TaskSampler
 from jaxact.spaces import Box
 
 Bounds = tuple[float, float]
@@ -87,6 +87,108 @@ class RunForward(Task):
         return _judged(
             task_state, reward, self.threshold, ~is_well, after, x=after.position[0], speed=speed
         )
+
+
+@dataclass(frozen=True)
+class RunUpright(Task):
+    """Get on along x without falling over: Ant and Humanoid. The first body is the torso.
+
+    Attributes:
+      world: with the extra "cfrc_ext"; how long a step takes, is asked there.
+      threshold: the return to succeed with.
+      height: bounds of the torso's height beyond which the body is not well.
+      forward: reward of a metre a second.
+      control: cost of a unit of the actions' squares.
+      contact: cost of a unit of the squares of forces from outside.
+      force_bound: beyond which no number of a force counts.
+      cost_bound: what contacts cost at most in a step.
+      healthy: reward of a step after which the body is well.
+      whole: whether the speed is that of the whole body's centre of mass (the extra "subtree_com"),
+        and not the torso's.
+    """
+
+    world: Physics
+    threshold: float
+    height: Bounds
+    forward: float = 1.0
+    control: float = 0.5
+    contact: float = 5e-4
+    force_bound: float = math.inf
+    cost_bound: float = math.inf
+    healthy: float = 1.0
+    whole: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("cfrc_ext", *(("subtree_com",) if self.whole else ())):
+            if name not in self.world.extras:
+                raise JaxactError(
+                    f"{type(self).__name__} reads {name!r}, which its world does not keep: "
+                    f"Physics(..., extras=({name!r},))"
+                )
+
+    def step(
+        self, task_state: jax.Array, before: PhysicsState, action: jax.Array, after: PhysicsState
+    ) -> tuple[jax.Array, Outcome]:
+        """Judges one step; see `Task.step`."""
+        speed = (self._place(after) - self._place(before)) / jnp.float32(self.world.dt)
+        is_well = _within(after.position[2], self.height) & ~after.diverged
+        forces = jnp.clip(after.extras["cfrc_ext"], -self.force_bound, self.force_bound)
+        costs = jnp.minimum(jnp.float32(self.contact) * _square(forces), self.cost_bound)
+        reward = {
+            "forward": jnp.float32(self.forward) * speed,
+            "control": -jnp.float32(self.control) * _square(action),
+            "contact": -costs,
+            "healthy": jnp.where(is_well, jnp.float32(self.healthy), 0.0),
+        }
+        return _judged(
+            task_state, reward, self.threshold, ~is_well, after, x=after.position[0], speed=speed
+        )
+
+    def _place(self, state: PhysicsState) -> jax.Array:
+        return state.extras["subtree_com"][0, 0] if self.whole else state.body_position[1, 0]
+
+    def check(self, pomdp: POMDP) -> None:
+        """Refuses an environment of another model, or one that does not keep what is read."""
+        check_model(pomdp, self.world, "task.world")
+
+
+@dataclass(frozen=True)
+class WholeBodySensor(Sensor):
+    """What Ant's and Humanoid's agents see: joints but for x and y, velocities, and more.
+
+    After them come, of those that the world keeps, "cinert", "cvel", "qfrc_actuator" but for the
+    root's six numbers, and "cfrc_ext"; of bodies those of all but the world's.
+
+    Attributes:
+      world: of the body.
+      force_bound: to which forces from outside are clipped.
+    """
+
+    world: Physics
+    force_bound: float = math.inf
+
+    @property
+    def space(self) -> Box:
+        """Numbers without bounds."""
+        model = self.world.model
+        bodies = model.nbody - 1
+        counts = {"cinert": 10 * bodies, "cvel": 6 * bodies, "cfrc_ext": 6 * bodies}
+        counts["qfrc_actuator"] = model.nv - 6
+        count = model.nq - 2 + model.nv + sum(counts.get(name, 0) for name in self.world.extras)
+        return Box(-math.inf, math.inf, (count,))
+
+    def observe(self, state: PhysicsState, task_state: PyTree) -> jax.Array:
+        """Returns the reading."""
+        del task_state
+        extras = state.extras
+        parts = [state.position[2:], state.velocity]
+        parts += [extras[name][1:].ravel() for name in ("cinert", "cvel") if name in extras]
+        if "qfrc_actuator" in extras:
+            parts.append(extras["qfrc_actuator"][6:])
+        if "cfrc_ext" in extras:
+            forces = extras["cfrc_ext"][1:].ravel()
+            parts.append(jnp.clip(forces, -self.force_bound, self.force_bound))
+        return jnp.concatenate(parts)
 
 
 @dataclass(frozen=True)
