@@ -14,6 +14,8 @@ from envs_jax.physics.environment import Variation as Variation
 from envs_jax.physics.geom_camera import GeomCamera as GeomCamera
 from envs_jax.physics.locomotion import NoisyStart as NoisyStart
 from envs_jax.physics.locomotion import RunForward as RunForward
+from envs_jax.physics.locomotion import RunUpright as RunUpright
+from envs_jax.physics.locomotion import WholeBodySensor as WholeBodySensor
 from envs_jax.physics.manipulation import MoveObject as MoveObject
 from envs_jax.physics.randomization import Randomized as Randomized
 from envs_jax.physics.reach import Reach as Reach
@@ -34,6 +36,8 @@ __all__ = [
     "Randomized",
     "Reach",
     "RunForward",
+    "RunUpright",
     "Variation",
+    "WholeBodySensor",
     "gymnasium_body",
 ]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from envs_jax.physics import BodySensor, JointSensor, ModelSensor, NoisyStart, Physics
-from envs_jax.physics.locomotion import Balance
+from envs_jax.physics.locomotion import Balance, RunUpright
 from jaxact import Experiment, Stage, TrainingPipeline, train
 from jaxact.checkpoints import Checkpoints
 from jaxact.errors import JaxactError
@@ -41,7 +41,7 @@ BALL = """
   </sensor>
 </mujoco>
 """
-WORLD = Physics(BALL, substeps=2)
+WORLD = Physics(BALL, substeps=2, extras=("cfrc_ext", "subtree_com"))
 step = jax.jit(WORLD.step)
 KEY = jax.random.key(0)
 
@@ -99,6 +99,10 @@ def test_sensors_read_what_the_model_measures(start):
     # At rest the floor carries it.
     np.testing.assert_allclose(touch.observe(lying, None), 9.81, rtol=1e-2)
     np.testing.assert_allclose(felt.observe(lying, None)[2], 9.81, rtol=1e-2)
+    np.testing.assert_array_equal(start.extras["cfrc_ext"], np.zeros((2, 6)))
+    np.testing.assert_allclose(lying.extras["cfrc_ext"][1, 5], 9.81, rtol=1e-2)
+    center = lying.extras["subtree_com"]
+    np.testing.assert_allclose(center, np.stack([lying.body_position[1]] * 2), atol=1e-6)
 
 
 def test_a_simulation_that_comes_apart_ends_the_episode_where_it_was_sound(start):
@@ -173,6 +177,16 @@ def test_names_that_the_model_lacks_are_refused():
         WORLD.index("bdy", "ball")
     with pytest.raises(JaxactError, match="horizon of a noisy start's episodes must be at least 1"):
         NoisyStart(WORLD, 0.0, 0.0, horizon=0)
+
+
+def test_what_is_not_kept_is_not_read():
+    with pytest.raises(JaxactError, match="of MuJoCo's data 'cfrc'; the nearest is 'cfrc_ext'"):
+        Physics(BALL, extras=("cfrc",))
+    with pytest.raises(JaxactError, match="RunUpright reads 'cfrc_ext', which its world does not"):
+        RunUpright(Physics(BALL), 1.0, height=(0.0, 1.0))
+    world = Physics(BALL, extras=("cfrc_ext",))
+    with pytest.raises(JaxactError, match="RunUpright reads 'subtree_com', which its world does"):
+        RunUpright(world, 1.0, height=(0.0, 1.0), whole=True)
 
 
 def test_numbers_that_the_model_has_no_joints_or_actuators_for_are_refused():
