@@ -354,6 +354,24 @@ def test_rooms_are_read_from_reachable_points(tmp_path):
             read_map(tmp_path / "points.npy")
 
 
+def test_rooms_in_which_an_episode_cannot_begin_are_refused():
+    refused = [
+        ("FurnMove-v0", ("." * 4,) * 4, "4 by 4 cells, has nowhere that two can hold"),
+        ("FurnLift-v0", ("." * 4,) * 4, "4 by 4 cells, has nowhere that two can lift"),
+        # Room for the television, but none to stand.
+        ("FurnMove-v0", ("o" * 8,) * 3 + (".ooooooo",), "nowhere that two can hold"),
+        ("FurnLift-v0", ("o" * 8,) * 8, "nowhere that two can lift"),
+        # Room for the dresser too, but not wherever the two happen to stand.
+        ("FurnMove-v0", ("." * 6,) * 5, r"no place for the dresser, .* is held over \[1, 2\]"),
+        ("FurnMove-v0", ("oooooooo",) * 3 + ("........",) * 2, "no place for the dresser"),
+    ]
+    for name, rows, sentence in refused:
+        with pytest.raises(JaxactError, match=rf"^maps\[1\], a room of .*{sentence}"):
+            envs_jax.make(name, maps=(ROOM, rows), size=14)
+    for name in ("FurnMove-v0", "FurnLift-v0"):
+        envs_jax.make(name, maps=(("." * 10,) * 10,), size=14)
+
+
 def test_what_cannot_be_is_refused():
     with pytest.raises(JaxactError, match="not 'x'"):
         WrittenRooms(((".x",),), 5)
