@@ -173,10 +173,17 @@ def test_furn_lift_is_as_its_rules_say():
             yaw=jnp.where(near, jnp.int32([1, 3]), state.yaw),
         )
 
+    def mean_gap(agents, middle):
+        return np.mean([abs(r - middle[0]) + abs(c - middle[1]) for r, c in agents])
+
+    drawn, _ = begun(pomdp)
     before, action, after, result = play(pomdp, [0, 4], around)
     seen = {"lifted": 0, "missed": 0, "failed": 0, "walked": 0, "blocked": 0}
     for lane in range(LANES):
         failed = missed = 0
+        # Of the episode as it was drawn, before its agents were moved around the television.
+        _, start = world_of(drawn, lane)
+        initial = mean_gap(start["agents"], start["object"])
         for t in range(STEPS):
             _, world = world_of(jax.tree.map(lambda x, t=t: x[t], before), lane)
             new, expected = world_of(jax.tree.map(lambda x, t=t: x[t], after), lane)
@@ -194,6 +201,11 @@ def test_furn_lift_is_as_its_rules_say():
             assert bool(result.terminated[t, lane]) == bool(result.success[t, lane]) == lifted
             failed += sum(misses)
             missed += liftable and not lifted
+            found = {name: x[t, lane] for name, x in result.metrics.items()}
+            spl = lifted * (initial + 1e-4) / (max(initial, t + 1) + 1e-4)
+            np.testing.assert_allclose(found["md_spl"], spl, rtol=1e-5)
+            apart = mean_gap(world["agents"], world["object"])
+            np.testing.assert_allclose(found["distance"], apart * 0.25, rtol=1e-6)
             assert result.metrics["failed_pickups"][t, lane] == failed
             assert result.metrics["missed_pickups"][t, lane] == missed
             seen["lifted"] += lifted

@@ -146,14 +146,15 @@ def test_who_is_alone_sees_nobody_else():
     assert observation["map"][0, ..., :2].sum((0, 1)).tolist() == [1, 0]
 
 
-def test_choices_are_those_of_a_count_by_hand():
+@pytest.mark.parametrize("places", [25, 64, 65, 1000])
+def test_choices_are_those_of_a_count_by_hand(places):
     generator = np.random.default_rng(0)
-    allowed = generator.random((200, 25)) < generator.random((200, 1))
+    allowed = generator.random((200, places)) < generator.random((200, 1))
     allowed[:2] = [[False], [True]]
     draws = generator.random(200, np.float32)
     draws[1] = np.nextafter(np.float32(1), np.float32(0))
     chosen = jax.vmap(grid.choose)(draws, allowed)
     for index, draw, row in zip(chosen.tolist(), draws, allowed, strict=True):
-        places = np.flatnonzero(row)
-        rank = min(int(draw * np.float32(len(places))), len(places) - 1)
-        assert index == (places[rank] if len(places) else 0)
+        free = np.flatnonzero(row)
+        rank = min(int(draw * np.float32(len(free))), len(free) - 1)
+        assert index == (free[rank] if len(free) else 0)
