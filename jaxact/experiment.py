@@ -90,6 +90,11 @@ class Experiment:
     def _check_agents(self) -> None:
         space = self.pomdp.action_space
         of_model = getattr(self.model, "action_space", space)
+        if isinstance(of_model, Agents) and not isinstance(space, Agents):
+            raise JaxactError(
+                f"the world is one of a single agent with the action space {space}, but the model "
+                f"{type(self.model).__name__} is for {of_model}: use ActorCritic"
+            )
         if isinstance(space, Agents) and of_model != space:
             raise JaxactError(
                 f"the world is one of {space.count} agents with the action space {space}, but the "

@@ -8,13 +8,23 @@ from typing import Any
 
 import jax
 
-from jaxact.errors import JaxactError
+from jaxact.errors import JaxactError, unknown
+from jaxact.losses.advisor import Advisor, AdvisorImitation
 from jaxact.losses.base import Loss
+from jaxact.losses.cordial import Cordial
+from jaxact.losses.dqn import DQN
+from jaxact.losses.fusion_entropy import FusionEntropy
 from jaxact.losses.gail import GAIL
+from jaxact.losses.pqn import PQN
+from jaxact.losses.sac import SAC
 from jaxact.models.output import ActorCriticOutput
 from jaxact.pipeline import Stage, TrainingPipeline
 from jaxact.spaces import Agents, Space
 from jaxact.storages.base import Storage
+from jaxact.team_distributions import joint_log_probs
+
+# Losses that work on what `AgentsActorCritic` has not.
+_OF_ONE_AGENT = (DQN, PQN, SAC, Advisor, AdvisorImitation, FusionEntropy)
 
 
 @dataclass(frozen=True)
@@ -54,6 +64,8 @@ def check_losses(
     uses = list(_uses(pipeline))
     for use in uses:
         _check_use(use, action_space, output)
+        if isinstance(use.loss, Cordial):
+            _check_cordial(use, use.loss, action_space, output, observation)
     _check_shared(uses, output, observation, action)
     for index, stage in enumerate(pipeline.stages):
         _check_gail(f"stage {index}", stage)
@@ -74,11 +86,13 @@ def _uses(pipeline: TrainingPipeline) -> Iterator[_Use]:
 
 def _check_use(use: _Use, action_space: Space, output: ActorCriticOutput) -> None:
     loss, kind = use.loss, type(use.loss).__name__
-    space = getattr(loss, "action_space", action_space)
-    if space != action_space and not isinstance(action_space, Agents):
+    # To losses agents are lanes side by side.
+    several = isinstance(action_space, Agents)
+    own, whose = (action_space.space, "each agent's") if several else (action_space, "the world's")
+    space = getattr(loss, "action_space", own)
+    if space != own:
         raise use.refuse(
-            f"the action_space of {kind} is {space}, but the world's is {action_space}; give it "
-            "that one"
+            f"the action_space of {kind} is {space}, but {whose} is {own}; give it that one"
         )
     if use.length < loss.least_length:
         raise use.refuse(
@@ -88,7 +102,28 @@ def _check_use(use: _Use, action_space: Space, output: ActorCriticOutput) -> Non
     try:
         loss.check_model(output)
     except JaxactError as error:
-        raise use.refuse(error) from None
+        hint = ""
+        if several and isinstance(loss, _OF_ONE_AGENT):
+            hint = "; AgentsActorCritic has none, so leave one agent with jaxact.opponents.against"
+        raise use.refuse(f"{error}{hint}") from None
+
+
+def _check_cordial(
+    use: _Use, loss: Cordial, action_space: Space, output: ActorCriticOutput, observation: Any
+) -> None:
+    """The matrix must be of the joint actions of the agents that there are."""
+    if not isinstance(action_space, Agents):
+        raise use.refuse("Cordial is for worlds of several agents, and this one has one; use PPO")
+    if loss.observation not in observation:
+        raise use.refuse(unknown("reading", loss.observation, list(observation)))
+    agents = action_space.count
+    table = jax.eval_shape(lambda policy: joint_log_probs(policy, agents), output.distribution)
+    found, needed = observation[loss.observation].shape[2:], table.shape[-agents:]
+    if found != needed:
+        raise use.refuse(
+            f"the reading {loss.observation!r} must say what each joint action is, "
+            f"{list(needed)} for each of {agents} agents, and is {list(found)}"
+        )
 
 
 def _check_shared(

@@ -404,7 +404,8 @@ class POMDP:
         """
         if isinstance(self.action_space, Agents):
             raise JaxactError(
-                f"{what} for worlds of one agent, and this one is of {self.num_agents} agents"
+                f"{what} for worlds of one agent, and this one is of {self.num_agents} agents; "
+                "jaxact.opponents.against leaves one of them, beside given policies"
             )
 
     def lanes_at_once(self, wanted: int) -> int:

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 
 from jaxact.distributions import Categorical, Distribution
 from jaxact.errors import JaxactError
+from jaxact.spaces import Agents, Discrete
 
 
 class TeamDistribution(Distribution):
@@ -162,6 +163,26 @@ def joint_log_probs(distribution: Distribution, agents: int) -> jax.Array:
         shape[i] = own.shape[-1]
         total = total + own[..., i, :].reshape(*own.shape[:-2], *shape)
     return total
+
+
+def check_team(distribution: Distribution, space: Agents) -> None:
+    """Refuses a team's distribution over other actions than its world's.
+
+    Raises:
+      JaxactError: agents do not choose from as many actions, or from other than discrete ones.
+    """
+    own = space.space
+    if not isinstance(own, Discrete):
+        raise JaxactError(
+            f"teams choose from discrete actions together, and these agents from {own}: leave out "
+            "team_actor, which gives each a policy of its own"
+        )
+    table = jax.eval_shape(lambda policy: joint_log_probs(policy, space.count), distribution)
+    if table.shape[-1] != own.n:
+        raise JaxactError(
+            f"the team's actor chooses from {table.shape[-1]} actions of each agent, and the world "
+            f"has {own.n}: give it actions={own.n}"
+        )
 
 
 def _teams(x: Any, event: int, agents: int) -> jax.Array:

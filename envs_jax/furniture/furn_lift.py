@@ -28,6 +28,7 @@ from envs_jax.furniture.footprints import (
     places,
 )
 from envs_jax.furniture.rooms import DrawnRooms, WrittenRooms
+from envs_jax.furniture.soundness import check_lifting
 from envs_jax.furniture.views import EgocentricView
 from jaxact.pomdp import POMDP, Environment, Episode, Outcome, PyTree, Task, TaskSampler
 from jaxact.spaces import Agents, Discrete
@@ -234,10 +235,16 @@ class FurnLiftSampler(TaskSampler):
     Attributes:
       rooms: `DrawnRooms` or `WrittenRooms`.
       horizon: steps.
+
+    Raises:
+      JaxactError: a written room has no place for them, see `soundness.check_lifting`.
     """
 
     rooms: DrawnRooms | WrittenRooms
     horizon: int = 250
+
+    def __post_init__(self) -> None:
+        check_lifting(self.rooms, SIGHT, APART)
 
     def sample(self, key: jax.Array, sampler_state: PyTree) -> Episode:
         """Draws one episode."""
@@ -318,7 +325,7 @@ def furn_lift(
       The POMDP; its observation has the "view", and the "coordination" for losses.
 
     Raises:
-      JaxactError: there are no such maps or sizes.
+      JaxactError: there are no such maps or sizes, or nothing fits into a map.
     """
     world = FurnLift(agents_block)
     rooms = WrittenRooms(maps, size) if maps else DrawnRooms(size)

@@ -124,13 +124,19 @@ class WrittenRooms:
                     f"a map of {len(rows)} by {len(rows[0])} cells does not fit on {self.size}"
                 )
 
-    def sample(self, key: jax.Array) -> Room:
-        """Draws a room."""
+    @property
+    def planes(self) -> tuple[np.ndarray, np.ndarray]:
+        """All rooms' floor and air, see `Room`, bool [N, S, S] each."""
         written = np.full((len(self.maps), self.size, self.size), WALL)
         for i, rows in enumerate(self.maps):
             written[i, : len(rows), : len(rows[0])] = [list(row) for row in rows]
+        return written == FLOOR, written != WALL
+
+    def sample(self, key: jax.Array) -> Room:
+        """Draws a room."""
+        floor, air = self.planes
         index = jax.random.randint(key, (), 0, len(self.maps), jnp.int32)
-        return Room(jnp.asarray(written == FLOOR)[index], jnp.asarray(written != WALL)[index])
+        return Room(jnp.asarray(floor)[index], jnp.asarray(air)[index])
 
 
 def read_map(path: str | Path) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Small worlds of two agents in which it pays to act together, and costs to try alone.
+"""Small worlds of several agents in which it pays to act together, and costs to try alone.
 
 Stag Hunt, Harvest and Escalation on a grid, after A. Peysakhovich and A. Lerer, "Prosocial learning
 agents solve generalized Stag Hunts better than selfish ones" (https://arxiv.org/abs/1709.02865), as

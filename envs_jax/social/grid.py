@@ -9,6 +9,8 @@ import numpy as np
 MOVES = ("left", "down", "right", "up")
 # What each move adds to a cell; rows count downwards.
 _DELTAS = np.array([[-1, 0], [0, 1], [1, 0], [0, -1]], np.int32)
+# Places that are counted at once.
+_ROW = 32
 
 
 def move(cells: jax.Array, action: jax.Array, size: int) -> jax.Array:
@@ -34,14 +36,31 @@ def choose(draw: jax.Array, allowed: jax.Array) -> jax.Array:
       draw: uniform in [0, 1).
       allowed: bool [n].
     """
+    if allowed.shape[0] <= 2 * _ROW:
+        upto = _running_count(allowed)
+        return jnp.sum(upto <= _rank(draw, upto[-1]), dtype=jnp.int32)
+    # The row of it is found first, so that many cells cost in proportion.
+    rows = jnp.pad(allowed, (0, -allowed.shape[0] % _ROW)).reshape(-1, _ROW)
+    held = jnp.sum(rows, axis=1, dtype=jnp.int32)
+    upto = _running_count(held)
+    rank = _rank(draw, upto[-1])
+    row = jnp.sum(upto <= rank, dtype=jnp.int32)
+    before = upto[row] - held[row]
+    return _ROW * row + jnp.sum(_running_count(rows[row]) <= rank - before, dtype=jnp.int32)
+
+
+def _running_count(values: jax.Array) -> jax.Array:
+    """Returns the sums of values [n] up to each, int32 [n]; they must be at most 256."""
     # On processors a product with a triangle costs less than a running sum, which XLA splits into
-    # many steps; counts are exact in it at any precision of products, since factors are 0 or 1.
-    upto = np.triu(np.ones((allowed.shape[0],) * 2, np.float32))
-    rank = (allowed.astype(jnp.float32) @ jnp.asarray(upto)).astype(jnp.int32)
-    count = rank[-1]
+    # many steps; it is exact at any precision of products, as factors have eight bits at most.
+    upto = np.triu(np.ones((values.shape[0],) * 2, np.float32))
+    return (values.astype(jnp.float32) @ jnp.asarray(upto)).astype(jnp.int32)
+
+
+def _rank(draw: jax.Array, count: jax.Array) -> jax.Array:
+    """Returns which of so many is chosen, −1 if there are none."""
     # The product may round up to the count.
-    chosen = jnp.minimum((draw * count.astype(jnp.float32)).astype(jnp.int32), count - 1)
-    return jnp.sum(rank <= chosen, dtype=jnp.int32)
+    return jnp.minimum((draw * count.astype(jnp.float32)).astype(jnp.int32), count - 1)
 
 
 def occupied(cells: jax.Array, size: int) -> jax.Array:

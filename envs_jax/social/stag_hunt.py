@@ -1,4 +1,4 @@
-"""Markov Stag Hunt: a stag that takes two, and plants for one."""
+"""Markov Stag Hunt: a stag that takes several, and plants for one."""
 
 from __future__ import annotations
 
@@ -45,9 +45,10 @@ class StagHunt(Environment):
     A step: the stag moves, then all agents do at once. It goes to the agent that is the nearest
     before either has moved (straight distance from its middle; of several as near, the last), by
     one of the moves that bring it nearer along an axis, each as likely. Stag and plants that were
-    collected come up again on free cells. A stag is caught by as many agents as `hunters`; plants
-    are collected by whoever stands on them and not on the stag, but not in a step in which the stag
-    is caught, nor with `flees` in one in which it was met by too few.
+    collected come up again on free cells. A stag is caught when `hunters` agents or more stand on
+    its cells after one step, be it on the same one; all of them have caught it. Plants are
+    collected by whoever stands on them and not on the stag, but not in a step in which the stag is
+    caught, nor with `flees` in one in which it was met by too few.
 
     Attributes:
       size: of the grid.
@@ -56,7 +57,7 @@ class StagHunt(Environment):
       stag_side: the stag is a square of so many cells along each edge.
       stag: "follows" the nearest agent, "wanders" or "stands".
       flees: whether a stag that was met by too few comes up elsewhere too.
-      hunters: how many it takes.
+      hunters: how many agents it takes at once, at most as many as there are.
     """
 
     size: int = 5
@@ -70,7 +71,13 @@ class StagHunt(Environment):
     def __post_init__(self) -> None:
         if self.stag not in STAGS:
             raise unknown("stag", self.stag, STAGS)
-        check_at_least(1, "a stag hunt", agents=self.agents, plants=self.plants)
+        counts = {"agents": self.agents, "plants": self.plants, "hunters": self.hunters}
+        check_at_least(1, "a stag hunt", **counts)
+        if self.hunters > self.agents:
+            raise JaxactError(
+                f"a stag that takes {self.hunters} hunters is never caught by {self.agents} "
+                f"agent(s): hunters must be 1 to {self.agents}"
+            )
         needed = self.agents + self.plants + self.stag_side**2
         if self.stag_side < 1 or self.size**2 < needed or self.stag_side >= self.size:
             raise JaxactError(
@@ -257,14 +264,15 @@ def stag_hunt(
     stag_side: int = 1,
     stag: str = "follows",
     flees: bool = False,
+    hunters: int = 2,
     starts: str = "corners",
     horizon: int = 1000,
 ) -> POMDP:
     """Builds a stag hunt; by default with the rules of Gym-Stag-Hunt.
 
     Args:
-      maul_penalty: g, what it costs to meet the stag alone.
-      size, agents, plants, stag_side, stag, flees: see `StagHunt`.
+      maul_penalty: g, what it costs each who meets the stag with fewer than `hunters`.
+      size, agents, plants, stag_side, stag, flees, hunters: see `StagHunt`.
       starts: "corners" or "anywhere", see `StagHuntSampler`.
       horizon: steps.
 
@@ -272,8 +280,9 @@ def stag_hunt(
       The POMDP; its observation has the "map".
 
     Raises:
-      JaxactError: no such stag or start, or there is no room.
+      JaxactError: no such stag or start, more hunters than agents, or there is no room.
     """
-    world = StagHunt(size, agents, plants, stag_side, stag, flees)
+    world = StagHunt(size, agents, plants, stag_side, stag, flees, hunters)
+    task = Hunt(hunters, maul_penalty=maul_penalty)
     sampler = StagHuntSampler(world, starts, horizon)
-    return POMDP(world, Hunt(maul_penalty=maul_penalty), sampler, {"map": MapSensor(world, 2)})
+    return POMDP(world, task, sampler, {"map": MapSensor(world, 2)})

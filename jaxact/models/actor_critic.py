@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from jaxact.models.beliefs import Beliefs
 from jaxact.models.encoders import check_features
-from jaxact.models.heads import SMALL, ActorHead
+from jaxact.models.heads import SMALL, ActorHead, check_one_agent
 from jaxact.models.memory import GRU
 from jaxact.models.output import ActorCriticOutput
 from jaxact.spaces import Agents, Box, Dict, Discrete, Space, Tuple
@@ -65,6 +65,7 @@ class ActorCritic(nn.Module):
           encoder's "embedding" and the "belief" that the heads see, float32 [..., F]; of
           `MultipleBeliefs` also every belief under its name, and the weights of their "fusion".
         """
+        check_one_agent(self, self.action_space)
         features = embedding = self.encoder(observation)
         check_features(features, is_first.shape)
         if self.previous_action:

@@ -10,13 +10,14 @@ import jax
 import jax.numpy as jnp
 
 from jaxact.agents import as_agents, as_lanes
-from jaxact.errors import unknown
+from jaxact.errors import JaxactError, unknown
 from jaxact.models.actor_critic import flatten_action
 from jaxact.models.encoders import check_features
 from jaxact.models.heads import ActorHead
 from jaxact.models.memory import GRU
 from jaxact.models.output import ActorCriticOutput
 from jaxact.spaces import Agents
+from jaxact.team_distributions import check_team
 
 SHARED = ("all", "body", "nothing")
 
@@ -74,7 +75,7 @@ class AgentsActorCritic(nn.Module):
           have the encoder's "embedding" and the "belief" that the actors see, float32 [..., A, F].
 
         Raises:
-          JaxactError: there is no such way of sharing.
+          JaxactError: there is no such way of sharing, or a team's actor is for other actions.
         """
         if self.shared not in SHARED:
             raise unknown("way of sharing parameters", self.shared, SHARED)
@@ -101,6 +102,8 @@ class AgentsActorCritic(nn.Module):
             if self.team_actor is None
             else self.team_actor(features)
         )
+        if self.team_actor is not None:
+            check_team(distribution, self.action_space)
         outputs = self.action_space.count if self.central_critic else 1
         initial = nn.initializers.orthogonal(1.0)
         critic = nn.Dense(outputs, kernel_init=initial, name="critic")
@@ -143,6 +146,15 @@ class AgentsActorCritic(nn.Module):
 
     @nn.nowrap
     def initial_memory(self, lanes: int) -> Any:
-        """Returns the memory of `lanes` lanes that have seen nothing, [lanes, A, ...]."""
+        """Returns the memory of `lanes` lanes that have seen nothing, [lanes, A, ...].
+
+        Raises:
+          JaxactError: the actions are one agent's.
+        """
+        if not isinstance(self.action_space, Agents):
+            raise JaxactError(
+                f"AgentsActorCritic chooses for several agents, not from {self.action_space}: use "
+                "ActorCritic for a world of one"
+            )
         agents = self.action_space.count
         return as_agents(self.memory.initial(lanes * agents), 1, agents)

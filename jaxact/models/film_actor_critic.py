@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxact.models.attended_words import BidirectionalWords, attend
 from jaxact.models.convolution import Convolution
 from jaxact.models.encoders import RELU, FiLM
-from jaxact.models.heads import ActorHead
+from jaxact.models.heads import ActorHead, check_one_agent
 from jaxact.models.memory import LSTM
 from jaxact.models.output import ActorCriticOutput
 from jaxact.spaces import Space
@@ -92,6 +92,7 @@ class FiLMActorCritic(nn.Module):
           "attention" to each word, float32 [..., L].
         """
         del previous_action
+        check_one_agent(self, self.action_space)
         image, tokens = observation[self.image], observation[self.mission]
         words = BidirectionalWords(self.instruction_size, self.vocabulary)(tokens)
         flat = image.astype(jnp.float32).reshape((-1, *image.shape[-3:]))

@@ -16,7 +16,7 @@ from jaxact.distributions import (
 )
 from jaxact.errors import JaxactError
 from jaxact.models.encoders import RELU
-from jaxact.spaces import Box, Dict, Discrete, Space, Tuple
+from jaxact.spaces import Agents, Box, Dict, Discrete, Space, Tuple
 
 # Gain of initial weights, small, so that the first policy is nearly uniform.
 SMALL = 0.01
@@ -67,6 +67,20 @@ class ActorHead(nn.Module):
                     }
                 )
         raise TypeError(f"no actor head for the action space {self.space}")
+
+
+def check_one_agent(model: nn.Module, space: Space) -> None:
+    """Refuses to choose for several agents, for models without an axis of them.
+
+    Raises:
+      JaxactError: the actions are of several.
+    """
+    if isinstance(space, Agents):
+        raise JaxactError(
+            f"{type(model).__name__} chooses for one agent, and this is a world of {space.count} "
+            "agents: use AgentsActorCritic, or leave one of them to learn with "
+            "jaxact.opponents.against"
+        )
 
 
 def _squashed(space: Box, parameters: jax.Array) -> SquashedNormal:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxact.distributions import EpsilonGreedy
 from jaxact.errors import JaxactError
 from jaxact.models.encoders import check_features
-from jaxact.models.heads import ActionValueHead
+from jaxact.models.heads import ActionValueHead, check_one_agent
 from jaxact.models.memory import GRU
 from jaxact.models.output import ActorCriticOutput
 from jaxact.spaces import Discrete, Space
@@ -58,6 +58,7 @@ class QNetwork(nn.Module):
           memory after the last step.
         """
         del previous_action
+        check_one_agent(self, self.action_space)
         if not isinstance(self.action_space, Discrete):
             raise JaxactError(f"QNetwork is for discrete actions, not for {self.action_space}")
         embedding = self.encoder(observation)

@@ -1,6 +1,7 @@
 """The axis of agents: a crowd of one is a corridor, and a crowd learns."""
 
 import dataclasses
+import shutil
 
 import chex
 import flax.linen as nn
@@ -16,16 +17,37 @@ from jaxact.agents import ForAll, MixedRewards, as_agents, as_lanes
 from jaxact.collect import collect
 from jaxact.gymnasium_adapter import to_gymnasium
 from jaxact.gymnax_adapter import to_gymnax
-from jaxact.losses import PPO, Imitation
-from jaxact.models import GRU, ActorCritic, AgentsActorCritic, Concatenated, Vector
+from jaxact.losses import (
+    A2C,
+    PPO,
+    PQN,
+    AdvisorImitation,
+    Cordial,
+    Imitation,
+    InverseDynamics,
+    RandomNetworkDistillation,
+)
+from jaxact.models import (
+    GRU,
+    ActorCritic,
+    AgentsActorCritic,
+    CentralActor,
+    Concatenated,
+    QNetwork,
+    SyncActor,
+    Vector,
+)
 from jaxact.policy import Policy
+from jaxact.program import make_train
 from jaxact.recording import record_episode
 from jaxact.schedules import Linear
+from jaxact.search_space import choice
 from jaxact.spaces import Agents, Discrete
 from jaxact.testing import check_pomdp
 from jaxact.video import annotate
 from tests.corridor import CellAndGoal, corridor
 from tests.crowd import ReachEnds, crowd
+from tests.tiny import OPTIONS, UPDATE, assert_same
 
 ENCODER = Concatenated({"vector": Vector((16,))})
 
@@ -230,6 +252,90 @@ def test_what_does_not_fit_together_is_refused():
             refused()
     with pytest.raises(JaxactError, match="unknown way of sharing parameters 'al'"):
         train(of_crowd(2, stages, "al"))
+
+
+def with_loss(pomdp, model, loss):
+    return experiment(pomdp, model, (Stage({"ppo": PPO(), "other": loss}, 64),))
+
+
+def test_models_of_one_agent_and_of_several_are_not_taken_for_each_other():
+    pomdp, alone = crowd(2), corridor()
+    for model in (ActorCritic, QNetwork):
+        with pytest.raises(JaxactError, match=f"{model.__name__} chooses for one .* 2 agents: use"):
+            with_loss(pomdp, model(pomdp.action_space, ENCODER), PPO()).check()
+    for space in (pomdp.action_space, alone.action_space):
+        with pytest.raises(JaxactError, match=r"AgentsActorCritic .*: use ActorCritic"):
+            with_loss(alone, AgentsActorCritic(space, ENCODER), PPO()).check()
+
+
+@pytest.mark.parametrize(
+    ("loss", "sentence"),
+    [
+        (InverseDynamics(action_space=Agents(Discrete(2), 2)), "each agent's is Discrete"),
+        (PQN(), "such as QNetwork; AgentsActorCritic has none, so leave one agent with jaxact.opp"),
+        (AdvisorImitation(), "compares two actors; .*; AgentsActorCritic has none"),
+        (
+            RandomNetworkDistillation(encoder=ENCODER),
+            "of 2 agents; jaxact.opponents.against leaves",
+        ),
+        (Cordial(), "unknown reading 'coordination'; the nearest is 'vector'"),
+        (Cordial("vector"), r"\[2, 2\] for each of 2 agents, and is \[12\]"),
+    ],
+    ids=lambda x: type(x).__name__,
+)
+def test_losses_that_cannot_be_agents_are_refused(loss, sentence):
+    pomdp = crowd(2)
+    model = AgentsActorCritic(pomdp.action_space, ENCODER, GRU(8))
+    with pytest.raises(JaxactError, match=sentence):
+        with_loss(pomdp, model, loss).check()
+
+
+def test_losses_with_heads_of_their_own_are_of_each_agent():
+    pomdp = crowd(3)
+    model = AgentsActorCritic(pomdp.action_space, ENCODER, GRU(8))
+    small = with_loss(pomdp, model, InverseDynamics(action_space=pomdp.action_space.space))
+    _, metrics = jax.eval_shape(make_train(small), jax.random.key(0))
+    assert "losses/other/cross_entropy" in metrics
+
+
+def test_teams_choose_from_the_worlds_actions():
+    alone, pomdp = corridor(), crowd(3)
+    for actor in (CentralActor(4), SyncActor(4, 2)):
+        model = AgentsActorCritic(pomdp.action_space, ENCODER, GRU(8), team_actor=actor)
+        with pytest.raises(
+            JaxactError, match=r"from 4 actions of each agent, .* give it actions=2"
+        ):
+            with_loss(pomdp, model, PPO()).check()
+    single = ActorCritic(alone.action_space, ENCODER)
+    with pytest.raises(JaxactError, match="Cordial is for worlds of several agents"):
+        with_loss(alone, single, Cordial()).check()
+
+
+@pytest.mark.slow
+def test_a_crowd_resumed_is_the_crowd_that_was_never_stopped(tmp_path):
+    small = of_crowd(3, (Stage({"a2c": A2C()}, 4 * UPDATE),), "body")
+    whole = jaxact.train(small, output=tmp_path, **OPTIONS)
+    copy = shutil.copytree(whole.run, tmp_path / "copy")
+    for path in (copy / "checkpoints").iterdir():
+        if int(path.name) > 2 * UPDATE:
+            shutil.rmtree(path)
+    resumed = jaxact.train(small, resume=copy, **OPTIONS)
+    assert resumed.metrics["step"].tolist() == [3 * UPDATE, 4 * UPDATE]
+    assert_same(resumed.state, whole.state)
+    assert (copy / "metrics.jsonl").read_bytes() == (whole.run / "metrics.jsonl").read_bytes()
+
+
+@pytest.mark.slow
+def test_crowds_are_swept(tmp_path):
+    space = {"pipeline.learning_rate": choice(1e-2, 1e-3)}
+    settings = {"draws": 2, "evaluations": 1, "evaluation_episodes": 8, "progress": False}
+    small = of_crowd(2, (Stage({"ppo": PPO()}, 2 * UPDATE),))
+    found = jaxact.sweep(small, space, output=tmp_path, **settings)
+    assert len(found.records) == 2
+    for record in found.records:
+        last = record["evaluations"][-1]
+        each = [last[f"agents/{i}/return"] for i in range(2)]
+        np.testing.assert_allclose(np.mean(each), last["return"], rtol=1e-4)
 
 
 def test_films_show_every_agents_policy():

@@ -37,6 +37,10 @@ SCRIPT = """
         from tests.jaxact import test_normalized
 
         small = test_normalized.experiment()
+    elif kind == "agents":
+        from tests.jaxact.test_agents import of_crowd
+
+        small = of_crowd(3, (Stage({"ppo": PPO()}, steps=256),), "body")
     elif kind == "demonstrations":
         from jaxact.collect import collect
         from jaxact.storages import DemonstrationStorage
@@ -147,6 +151,7 @@ def run(counts, kind, directory):
         ([1, 4], "plain"),
         pytest.param([1, 4], "replay", marks=pytest.mark.slow),
         pytest.param([1, 2], "normalized", marks=pytest.mark.slow),
+        pytest.param([1, 2], "agents", marks=pytest.mark.slow),
         pytest.param([1, 4], "demonstrations", marks=pytest.mark.slow),
         pytest.param([1, 2, 4], "plain", marks=pytest.mark.slow),
         pytest.param([1, 2, 4], "curriculum", marks=pytest.mark.slow),

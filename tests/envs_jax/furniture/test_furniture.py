@@ -173,10 +173,17 @@ def test_furn_lift_is_as_its_rules_say():
             yaw=jnp.where(near, jnp.int32([1, 3]), state.yaw),
         )
 
+    def mean_gap(agents, middle):
+        return np.mean([abs(r - middle[0]) + abs(c - middle[1]) for r, c in agents])
+
+    drawn, _ = begun(pomdp)
     before, action, after, result = play(pomdp, [0, 4], around)
     seen = {"lifted": 0, "missed": 0, "failed": 0, "walked": 0, "blocked": 0}
     for lane in range(LANES):
         failed = missed = 0
+        # Of the episode as it was drawn, before its agents were moved around the television.
+        _, start = world_of(drawn, lane)
+        initial = mean_gap(start["agents"], start["object"])
         for t in range(STEPS):
             _, world = world_of(jax.tree.map(lambda x, t=t: x[t], before), lane)
             new, expected = world_of(jax.tree.map(lambda x, t=t: x[t], after), lane)
@@ -194,6 +201,11 @@ def test_furn_lift_is_as_its_rules_say():
             assert bool(result.terminated[t, lane]) == bool(result.success[t, lane]) == lifted
             failed += sum(misses)
             missed += liftable and not lifted
+            found = {name: x[t, lane] for name, x in result.metrics.items()}
+            spl = lifted * (initial + 1e-4) / (max(initial, t + 1) + 1e-4)
+            np.testing.assert_allclose(found["md_spl"], spl, rtol=1e-5)
+            apart = mean_gap(world["agents"], world["object"])
+            np.testing.assert_allclose(found["distance"], apart * 0.25, rtol=1e-6)
             assert result.metrics["failed_pickups"][t, lane] == failed
             assert result.metrics["missed_pickups"][t, lane] == missed
             seen["lifted"] += lifted
@@ -352,6 +364,24 @@ def test_rooms_are_read_from_reachable_points(tmp_path):
         np.save(tmp_path / "points.npy", [[0.0, 0.0], [0.0, mistake]])
         with pytest.raises(JaxactError, match="no further than 5000 m from the origin"):
             read_map(tmp_path / "points.npy")
+
+
+def test_rooms_in_which_an_episode_cannot_begin_are_refused():
+    refused = [
+        ("FurnMove-v0", ("." * 4,) * 4, "4 by 4 cells, has nowhere that two can hold"),
+        ("FurnLift-v0", ("." * 4,) * 4, "4 by 4 cells, has nowhere that two can lift"),
+        # Room for the television, but none to stand.
+        ("FurnMove-v0", ("o" * 8,) * 3 + (".ooooooo",), "nowhere that two can hold"),
+        ("FurnLift-v0", ("o" * 8,) * 8, "nowhere that two can lift"),
+        # Room for the dresser too, but not wherever the two happen to stand.
+        ("FurnMove-v0", ("." * 6,) * 5, r"no place for the dresser, .* is held over \[1, 2\]"),
+        ("FurnMove-v0", ("oooooooo",) * 3 + ("........",) * 2, "no place for the dresser"),
+    ]
+    for name, rows, sentence in refused:
+        with pytest.raises(JaxactError, match=rf"^maps\[1\], a room of .*{sentence}"):
+            envs_jax.make(name, maps=(ROOM, rows), size=14)
+    for name in ("FurnMove-v0", "FurnLift-v0"):
+        envs_jax.make(name, maps=(("." * 10,) * 10,), size=14)
 
 
 def test_what_cannot_be_is_refused():

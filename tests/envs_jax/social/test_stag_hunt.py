@@ -18,7 +18,13 @@ from tests.envs_jax.social.stag_hunt_rules import body, outcomes, stag_moves, st
 VARIANTS = {
     "as by default": {},
     "a large stag that flees": {"stag_side": 2, "flees": True},
-    "three wander with it": {"stag": "wanders", "agents": 3, "size": 4},
+    "three of five take one that wanders": {
+        "stag": "wanders",
+        "agents": 5,
+        "hunters": 3,
+        "size": 4,
+        "stag_side": 2,
+    },
     "a small field": {"size": 3, "starts": "anywhere", "maul_penalty": 0.5},
 }
 
@@ -124,6 +130,10 @@ def test_what_cannot_be_is_refused():
         dataclasses.replace(pomdp, task=dataclasses.replace(pomdp.task, hunters=3))
     with pytest.raises(JaxactError, match="agents of a stag hunt must be at least 1, got 0"):
         envs_jax.make("Markov-StagHunt-v0", agents=0)
+    with pytest.raises(JaxactError, match=r"by 3 agent\(s\): hunters must be 1 to 3"):
+        envs_jax.make("Markov-StagHunt-v0", agents=3, hunters=4)
+    with pytest.raises(JaxactError, match="hunters of a stag hunt must be at least 1, got 0"):
+        envs_jax.make("Markov-StagHunt-v0", hunters=0)
     with pytest.raises(JaxactError, match="plants of Harvest must be at least 1, got 0"):
         envs_jax.make("Markov-Harvest-v0", plants=0)
     task = MixedRewards(dataclasses.replace(pomdp.task, hunters=3), others=1.0)
@@ -136,14 +146,15 @@ def test_who_is_alone_sees_nobody_else():
     assert observation["map"][0, ..., :2].sum((0, 1)).tolist() == [1, 0]
 
 
-def test_choices_are_those_of_a_count_by_hand():
+@pytest.mark.parametrize("places", [25, 64, 65, 1000])
+def test_choices_are_those_of_a_count_by_hand(places):
     generator = np.random.default_rng(0)
-    allowed = generator.random((200, 25)) < generator.random((200, 1))
+    allowed = generator.random((200, places)) < generator.random((200, 1))
     allowed[:2] = [[False], [True]]
     draws = generator.random(200, np.float32)
     draws[1] = np.nextafter(np.float32(1), np.float32(0))
     chosen = jax.vmap(grid.choose)(draws, allowed)
     for index, draw, row in zip(chosen.tolist(), draws, allowed, strict=True):
-        places = np.flatnonzero(row)
-        rank = min(int(draw * np.float32(len(places))), len(places) - 1)
-        assert index == (places[rank] if len(places) else 0)
+        free = np.flatnonzero(row)
+        rank = min(int(draw * np.float32(len(free))), len(free) - 1)
+        assert index == (free[rank] if len(free) else 0)
