@@ -102,7 +102,9 @@ class System:
 def require(package: str) -> None:
     """Raises `Unsupported` if a package is not installed."""
     if find_spec(package) is None:
-        raise Unsupported("not installed (pip install 'jaxact[bench]')")
+        raise Unsupported(
+            f"{package} is not installed: run pip install -e '.[bench]', or leave it out of --peers"
+        )
 
 
 def _compile(world: Any, job: Job) -> tuple[Any, Facts]:

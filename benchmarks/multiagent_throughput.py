@@ -28,7 +28,8 @@ class Arguments(env_throughput.Arguments):
     )
     """Worlds, by their ids."""
     peers: tuple[str, ...] = tuple(PEERS_OF_AGENTS)
-    """Systems to measure beside jaxact: jaxmarl-coin, jaxmarl-storm, jaxmarl-overcooked."""
+    """Systems to measure beside jaxact: jaxmarl-coin, jaxmarl-storm, jaxmarl-overcooked, which
+    need the package jaxmarl; `--peers` without a name measures jaxact alone."""
 
 
 def main() -> None:

@@ -50,7 +50,7 @@ def test_jaxmarls_worlds_run(name):
 
 def test_what_is_not_there_is_unsupported(monkeypatch):
     monkeypatch.setattr(env_systems, "find_spec", lambda package: None)
-    with pytest.raises(Unsupported, match="not installed"):
+    with pytest.raises(Unsupported, match="jaxmarl is not installed: run pip install"):
         build(job("jaxmarl-coin"))
     monkeypatch.setattr(env_systems, "find_spec", lambda package: package)
     with pytest.raises(Unsupported, match="set beside those of several agents only"):
