@@ -11,15 +11,17 @@ import pytest
 import envs_jax
 import jaxact
 from jaxact import Experiment, JaxactError, Stage, TrainingPipeline
+from jaxact.collect import collect
 from jaxact.evaluate import load_policy
 from jaxact.game import Game
 from jaxact.gymnasium_adapter import to_gymnasium
-from jaxact.losses import PPO
+from jaxact.losses import PPO, Imitation
 from jaxact.models import GRU, ActorCritic, AgentsActorCritic, Concatenated, NoMemory, Vector
 from jaxact.opponents import against
 from jaxact.overrides import fingerprint
 from jaxact.policy import Policy
 from jaxact.spaces import Agents, Discrete
+from jaxact.storages import DemonstrationStorage
 from tests.corridor import corridor
 from tests.crowd import crowd
 from tests.tiny import assert_same
@@ -168,6 +170,23 @@ def test_a_policy_of_a_run_is_played_against(tmp_path):
     # What is kept of a run tells two opponents apart.
     other = against(crowd(2), {1: policy_of(2)})
     assert fingerprint(experiment) != fingerprint(dataclasses.replace(experiment, pomdp=other))
+
+
+@pytest.mark.slow
+def test_one_agents_expert_is_recorded_and_learnt_from_beside_others(tmp_path):
+    left = against(crowd(2), {1: policy_of(None)})
+    collect(left, tmp_path / "recorded", 20, world="left", progress=False)
+    recorded = DemonstrationStorage(
+        losses={"imitation": Imitation()}, path=str(tmp_path / "recorded"), lanes=4, length=8
+    )
+    stage = Stage({"ppo": PPO()}, 512, storages={"recorded": recorded})
+    pipeline = TrainingPipeline((stage,), lanes=4, rollout_length=8, learning_rate=2e-2)
+    model = ActorCritic(left.action_space, ENCODER, GRU(8))
+    quiet = {"progress": False, "evaluate_every": 0, "evaluation_episodes": 0}
+    metrics = jaxact.train(Experiment("left", left, model, pipeline), **quiet).metrics
+    agreement = metrics["losses/recorded/imitation/agreement"]
+    # Of two actions; an untrained policy agrees in half of the steps.
+    assert agreement[-4:].mean() > 0.9
 
 
 @pytest.mark.parametrize(
