@@ -87,8 +87,9 @@ def _uses(pipeline: TrainingPipeline) -> Iterator[_Use]:
 def _check_use(use: _Use, action_space: Space, output: ActorCriticOutput) -> None:
     loss, kind = use.loss, type(use.loss).__name__
     # To losses agents are lanes side by side.
-    several = isinstance(action_space, Agents)
-    own, whose = (action_space.space, "each agent's") if several else (action_space, "the world's")
+    own, whose = action_space, "the world's"
+    if isinstance(action_space, Agents):
+        own, whose = action_space.space, "each agent's"
     space = getattr(loss, "action_space", own)
     if space != own:
         raise use.refuse(
@@ -103,7 +104,7 @@ def _check_use(use: _Use, action_space: Space, output: ActorCriticOutput) -> Non
         loss.check_model(output)
     except JaxactError as error:
         hint = ""
-        if several and isinstance(loss, _OF_ONE_AGENT):
+        if isinstance(action_space, Agents) and isinstance(loss, _OF_ONE_AGENT):
             hint = "; AgentsActorCritic has none, so leave one agent with jaxact.opponents.against"
         raise use.refuse(f"{error}{hint}") from None
 
