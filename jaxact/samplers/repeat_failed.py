@@ -59,9 +59,10 @@ class RepeatFailed(TaskSampler):
 
     After AllenAct's `repeat_failed_task_for_min_steps`, with which the process that failed a task
     begins it again at once, so that as many levels are practised at a time as there are processes.
-    Here lanes share the sampler, which learns once a rollout what was failed in it. So a level
-    waits until the next rollout, and any lane may take it on, or several. All their steps count.
-    Episodes that are going on when another one succeeds are played to their end.
+    That matters: with all failed levels in turn, each seldom, ADVISOR learns half as much. Here
+    lanes share the sampler, which learns once a rollout what was failed in it. So a level waits
+    until the next rollout, and any lane may take it on, or several. All their steps count. Episodes
+    that are going on when another one succeeds are played to their end.
 
     The levels that wait, and the share of episodes that are of them, are reported as
     "train/sampler/waiting" and "train/sampler/share". Success in training is that of all episodes,
