@@ -30,7 +30,7 @@ from jaxact.search_space import Range, choice, log_uniform, uniform
 from jaxact.storages import DemonstrationStorage
 
 _lava = envs_jax.make("Advisor-LavaCrossingCorruptExpertS15N7-v0")
-_lava = dataclasses.replace(_lava, sampler=RepeatFailed(_lava.sampler, size=20))
+_lava = dataclasses.replace(_lava, sampler=RepeatFailed(_lava.sampler, size=500))
 # Unseen, empty, wall, lava and goal, as MiniGrid encodes them.
 _CELLS = ((0, 0, 0), (1, 0, 0), (2, 5, 0), (9, 0, 0), (8, 1, 0))
 # World, encoder, memory, and steps as published.

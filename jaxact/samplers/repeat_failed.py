@@ -23,23 +23,26 @@ class WaitingLevels:
       seed: uint32 [N].
       steps: int32 [N], spent on each so far.
       count: int32 scalar, how many there are.
-      share: float32 scalar, the probability that an episode is of one of these levels.
-      failed: float32 scalar, the share of failures among episodes of the latest rollout in which
-        some ended.
+      played: int32 scalar, how many episodes there were in the latest rollout to give them to: as
+        many as ended in it, and at least one for each lane.
       inner: the state of the levels' sampler.
     """
 
     seed: jax.Array
     steps: jax.Array
     count: jax.Array
-    share: jax.Array
-    failed: jax.Array
+    played: jax.Array
     inner: PyTree
 
     @property
     def holds(self) -> jax.Array:
         """Bool [N], where there is a level."""
         return jnp.arange(self.seed.shape[0], dtype=jnp.int32) < self.count
+
+    @property
+    def share(self) -> jax.Array:
+        """float32 scalar, the probability that an episode is of one of these levels."""
+        return jnp.minimum(self.count.astype(jnp.float32) / self.played.astype(jnp.float32), 1.0)
 
 
 @dataclass(frozen=True)
@@ -51,18 +54,18 @@ class RepeatFailed(TaskSampler):
     the episodes are repeats.
 
     A level is a seed: the episode that `sampler` draws, in its first state, with `make_key(seed)`.
-    After an episode that failed, its level waits if fewer than `min_steps` steps were spent on it,
-    and if fewer levels wait than there are lanes. An episode is one of them, each as likely, with
-    the probability of a failure in the latest rollout times the share of lanes for which a level
-    waits, and else a new one. So there is a repeat for each failure, and hard levels are practised
-    many times in a row.
+    After an episode that failed, its level waits if fewer than `min_steps` steps were spent on it.
+    Each level that waits is given again about once in each rollout, or, where episodes are longer
+    than rollouts, in the course of an episode: an episode is one of them, each as likely, with the
+    probability of how many wait to how many episodes ended in the latest rollout, or to the number
+    of lanes if that is more, and else a new one.
 
     After AllenAct's `repeat_failed_task_for_min_steps`, with which the process that failed a task
-    begins it again at once, so that as many levels are practised at a time as there are processes.
-    That matters: with all failed levels in turn, each seldom, ADVISOR learns half as much. Here
-    lanes share the sampler, which learns once a rollout what was failed in it. So a level waits
-    until the next rollout, and any lane may take it on, or several. All their steps count. Episodes
-    that are going on when another one succeeds are played to their end.
+    begins it again at once. Here many lanes share the sampler, which learns once a rollout what was
+    failed in it. So the level waits until the next rollout, and any lane may take it on, in some
+    rollouts none and in some several. All their steps count, so that a little more is spent on a
+    level than AllenAct would. Episodes that are going on when another one succeeds are played to
+    their end.
 
     The levels that wait, and the share of episodes that are of them, are reported as
     "train/sampler/waiting" and "train/sampler/share". Success in training is that of all episodes,
@@ -72,8 +75,8 @@ class RepeatFailed(TaskSampler):
       sampler: whose levels they are; it does not learn.
       min_steps: how many steps are spent on a level before it is given up; the episode in which
         they are reached counts in full.
-      size: N, the most levels that wait; one for each lane is enough. Failed levels for which there
-        is no place are given up.
+      size: N, the most levels that wait; as many as episodes end in a rollout are enough. Failed
+        levels for which there is no place are given up.
 
     Raises:
       JaxactError: a number out of its bounds.
@@ -101,8 +104,7 @@ class RepeatFailed(TaskSampler):
             seed=jnp.zeros(self.size, jnp.uint32),
             steps=jnp.zeros(self.size, jnp.int32),
             count=jnp.int32(0),
-            share=jnp.float32(0),
-            failed=jnp.float32(1),
+            played=jnp.int32(1),
             inner=self.sampler.init(make_key(0)),
         )
 
@@ -133,20 +135,13 @@ class RepeatFailed(TaskSampler):
         steps = jnp.concatenate([spent, length])
         stays = jnp.concatenate([waits, mask & is_new & ~success])
         stays &= steps.astype(jnp.float32) < self.min_steps
-        lanes = finished.mask.shape[1]
-        room = min(self.size, lanes)
-        places = jnp.cumsum(stays, dtype=jnp.int32) - 1
-        places = jnp.where(stays & (places < room), places, self.size)
-        count = jnp.minimum(jnp.sum(stays, dtype=jnp.int32), room)
-        ended = jnp.sum(mask, dtype=jnp.float32)
-        failed = jnp.sum(mask & ~success, dtype=jnp.float32) / jnp.maximum(ended, 1)
-        failed = jnp.where(ended > 0, failed, sampler_state.failed)
+        places = jnp.where(stays, jnp.cumsum(stays, dtype=jnp.int32) - 1, self.size)
+        ended, lanes = jnp.sum(mask, dtype=jnp.int32), finished.mask.shape[1]
         return WaitingLevels(
             seed=jnp.zeros(self.size, jnp.uint32).at[places].set(seeds, mode="drop"),
             steps=jnp.zeros(self.size, jnp.int32).at[places].set(steps, mode="drop"),
-            count=count,
-            share=failed * count.astype(jnp.float32) / lanes,
-            failed=failed,
+            count=jnp.minimum(jnp.sum(stays, dtype=jnp.int32), self.size),
+            played=jnp.maximum(ended, lanes),
             inner=sampler_state.inner,
         )
 

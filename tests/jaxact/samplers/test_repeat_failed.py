@@ -19,7 +19,7 @@ LONG = RandomStart(length=1000)
 REPEAT = RepeatFailed(LONG, min_steps=10.0, size=4)
 
 
-def state_of(waiting, share=0.5):
+def state_of(waiting, played):
     """Levels that wait, as steps by seed."""
     missing = [0] * (REPEAT.size - len(waiting))
     seeds, steps = [*waiting, *missing], [*waiting.values(), *missing]
@@ -27,8 +27,7 @@ def state_of(waiting, share=0.5):
         jnp.asarray(seeds, jnp.uint32),
         jnp.asarray(steps, jnp.int32),
         jnp.int32(len(waiting)),
-        jnp.float32(share),
-        jnp.float32(1),
+        jnp.int32(played),
         (),
     )
 
@@ -86,32 +85,22 @@ def test_failed_levels_wait_until_they_succeed_or_enough_was_spent():
     # One of two lanes succeeded.
     state = update(state, finished((11, False, True, 1), (11, False, False, 0)))
     assert waiting(state) == {}
+    assert int(state.played) == 2
+    # Each lane plays one even where none ends.
+    assert int(update(state, finished(None, None)).played) == 2
+    assert int(update(state, finished(*[(1, True, True, 1)] * 4)).played) == 4
 
 
-def test_there_is_a_repeat_for_each_failure_if_a_level_waits_for_each_lane():
-    fails, succeeds = (1, True, False, 1), (2, True, True, 1)
-    state = update(REPEAT.init(make_key(0)), finished(succeeds, succeeds, succeeds, fails))
-    # One of four failed, and one level waits for two lanes.
-    assert float(state.share) == 0.25 / 2
-    # Nothing is learnt of failures where nothing ends.
-    assert float(update(state, finished(None, None)).share) == 0.25 / 2
-    state = update(state, finished((3, True, False, 1), succeeds))
-    assert float(state.share) == 0.5
-    assert float(update(state, finished((1, False, True, 1), (3, False, True, 1))).share) == 0
-
-
-def test_no_more_levels_wait_than_there_are_lanes():
+def test_levels_without_a_place_are_given_up():
     new = [(seed, True, False, seed) for seed in (1, 2, 3, 4)]
-    state = update(state_of({7: 1, 0: 2}), finished(*new))
-    assert waiting(state) == {7: 1, 0: 2}
+    state = update(state_of({7: 1, 0: 2}, 2), finished(*new))
+    assert waiting(state) == {7: 1, 0: 2, 1: 1, 2: 2}
     state = update(state, finished((7, False, True, 1), (5, True, False, 5)))
-    assert waiting(state) == {0: 2, 5: 5}
-    small = dataclasses.replace(REPEAT, size=1)
-    assert waiting(small.update(small.init(make_key(0)), finished(*new))) == {1: 1}
+    assert waiting(state) == {0: 2, 1: 1, 2: 2, 5: 5}
 
 
-def test_levels_that_wait_are_given_again_each_as_likely():
-    state = state_of({5: 1, 0: 1, 7: 1}, share=0.5)
+def test_each_level_is_given_again_about_once_in_a_rollout():
+    state = state_of({5: 1, 0: 1, 7: 1}, played=6)
     keys = jax.random.split(make_key(0), 4000)
     drawn = draw(keys, state)
     is_new, seed = np.asarray(drawn.origin.is_new), np.asarray(drawn.origin.seed)
@@ -127,18 +116,17 @@ def test_levels_that_wait_are_given_again_each_as_likely():
     assert (float(metrics["waiting"]), float(metrics["share"])) == (3, 0.5)
 
 
-def test_nothing_is_repeated_where_none_waits_and_nothing_else_where_all_fail():
+def test_nothing_is_repeated_that_does_not_wait_and_nothing_else_when_many_do():
     keys = jax.random.split(make_key(0), 50)
     assert np.asarray(draw(keys, REPEAT.init(make_key(0))).origin.is_new).all()
-    assert not np.asarray(draw(keys, state_of({5: 1, 6: 1, 7: 1}, share=1)).origin.is_new).any()
+    assert not np.asarray(draw(keys, state_of({5: 1, 6: 1, 7: 1}, played=2)).origin.is_new).any()
 
 
 def test_where_all_fail_levels_are_given_again_until_enough_was_spent():
     """Of four attempts of one step each three are repeats, and a few more.
 
-    With one episode of each lane in a rollout, each waiting level is given again once, by chance:
-    a Poisson number of times. It waits for as many rollouts as it takes until three have come
-    together.
+    Each waiting level is given again about once a rollout, by chance: a Poisson number of times. It
+    waits for as many rollouts as it takes until three have come together.
     """
     sampler = dataclasses.replace(REPEAT, min_steps=4.0, size=300)
 
@@ -167,36 +155,6 @@ def test_where_all_fail_levels_are_given_again_until_enough_was_spent():
     assert 3 < rollouts < 4
     np.testing.assert_allclose(shares, 1 / (1 + rollouts), atol=0.01)
     assert len(set(shares.tolist())) > 1
-
-
-@pytest.mark.parametrize(("chance", "repeats"), [(0.0, 0.98), (0.5, 0.5), (0.9, 0.1)])
-def test_few_levels_are_practised_at_a_time(chance, repeats):
-    """Ten episodes of one step on each lane in a rollout; a hundred steps are spent on a level."""
-    lanes, length = 20, 10
-    sampler = dataclasses.replace(REPEAT, min_steps=100.0, size=50)
-
-    def rollout(state, key):
-        play_key, sample_key = jax.random.split(key)
-        keys = jax.random.split(sample_key, (length, lanes))
-        origin = jax.vmap(jax.vmap(sampler.sample, (0, None)), (0, None))(keys, state).origin
-        ones = jnp.ones((length, lanes), jnp.int32)
-        played = FinishedEpisodes(
-            mask=ones > 0,
-            success=jax.random.bernoulli(play_key, chance, (length, lanes)),
-            episode_return=ones.astype(jnp.float32),
-            length=ones,
-            task=None,
-            origin=origin,
-            mean_error=None,
-        )
-        return sampler.update(state, played), origin
-
-    run = jax.jit(lambda: jax.lax.scan(rollout, sampler.init(make_key(0)), keys))
-    keys = jax.random.split(make_key(1), 120)
-    origin = jax.tree.map(np.asarray, run()[1])
-    again = [set(seed[~new].tolist()) for seed, new in zip(origin.seed, origin.is_new, strict=True)]
-    assert max(map(len, again)) <= lanes
-    assert 1 - origin.is_new[20:].mean() == pytest.approx(repeats, abs=0.03)
 
 
 def test_where_episodes_outlast_rollouts_lanes_do_not_crowd_into_a_few_levels():
