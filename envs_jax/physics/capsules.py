@@ -44,7 +44,7 @@ def capsules_as_in_c() -> Iterator[None]:
 def _collider() -> Callable[..., Any]:
     from mujoco.mjx._src.collision_primitive import collider
 
-    return collider(ncon=2)(_meet)  # type: ignore[no-any-return]
+    return collider(ncon=2)(_meet)
 
 
 def _meet(plane: Any, capsule: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
