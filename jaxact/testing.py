@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import chex
 import jax
 import jax.numpy as jnp
 
+from jaxact.overrides import numbers, with_numbers
 from jaxact.pomdp import POMDP, FinishedEpisodes, State, Step
 from jaxact.spaces import Agents
 
@@ -34,6 +36,7 @@ def check_pomdp(pomdp: POMDP, *, seed: int = 0, lanes: int = 4, steps: int = 16)
     _check_purity(pomdp, state, action)
     _check_batch(pomdp, key, lanes, steps)
     _check_expert(pomdp, key, state)
+    _check_numbers(pomdp, key, action)
     _check_sampler(pomdp, key, state)
 
 
@@ -164,6 +167,24 @@ def _check_expert(pomdp: POMDP, key: jax.Array, state: State) -> None:
         assert bool(pomdp.action_space.contains(advice.action)), (
             "the expert's action is not in the action space"
         )
+
+
+def _check_numbers(pomdp: POMDP, key: jax.Array, action: Any) -> None:
+    def play(values: Any) -> Any:
+        traced = with_numbers(pomdp, values)
+        state, _ = traced.reset(key)
+        advice = traced.expert(key, state) if pomdp.has_expert else None
+        return traced.step(key, state, action), advice
+
+    try:
+        jax.eval_shape(play, numbers(pomdp))
+    except jax.errors.ConcretizationTypeError as error:
+        found = re.search(r"the argument values\['([^']+)'\]", str(error))
+        name = found[1] if found else "a float of the POMDP"
+        raise AssertionError(
+            f"{name} decides in Python what is computed, but floats are data in training: compute "
+            "with jnp.asarray(...) of it, or have its class set numbers_are_structure"
+        ) from None
 
 
 def _check_sampler(pomdp: POMDP, key: jax.Array, state: State) -> None:

@@ -80,10 +80,11 @@ class RunForward(Task):
         is_well = _within(after.position[1], self.height) & _within(after.position[2], self.angle)
         moving = jnp.concatenate([after.position[2:], after.velocity])
         is_well &= _within(moving, self.others)
-        reward = {"forward": jnp.float32(self.forward) * speed}
-        reward["control"] = -jnp.float32(self.control) * _square(action)
-        if self.healthy:
-            reward["healthy"] = jnp.where(is_well, jnp.float32(self.healthy), 0.0)
+        reward = {
+            "forward": jnp.float32(self.forward) * speed,
+            "control": -jnp.float32(self.control) * _square(action),
+            "healthy": jnp.where(is_well, jnp.float32(self.healthy), 0.0),
+        }
         return _judged(
             task_state, reward, self.threshold, ~is_well, after, x=after.position[0], speed=speed
         )

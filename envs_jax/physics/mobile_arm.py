@@ -10,7 +10,6 @@ whether it holds.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import jax
@@ -182,7 +181,7 @@ class ArmMoves(Controller):
         """
         chosen = jnp.asarray(action, jnp.int32)
         ahead = jnp.where(self.is_action(action, "move_ahead"), jnp.float32(self.ahead), 0)
-        yaw, turn = position[2], jnp.float32(math.radians(self.turn))
+        yaw, turn = position[2], jnp.deg2rad(jnp.float32(self.turn))
         right = self.is_action(action, "rotate_right").astype(jnp.float32)
         left = self.is_action(action, "rotate_left").astype(jnp.float32)
         way = jnp.stack([ahead * jnp.cos(yaw), ahead * jnp.sin(yaw), turn * (left - right)])

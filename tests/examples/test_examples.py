@@ -6,7 +6,14 @@ import re
 import numpy as np
 import pytest
 
-from examples import advisor, furnmove, hand_manipulation, physics_locomotion, stag_hunt
+from examples import (
+    advisor,
+    arm_point_nav,
+    furnmove,
+    hand_manipulation,
+    physics_locomotion,
+    stag_hunt,
+)
 from jaxact import train
 from jaxact.collect import collect
 from jaxact.loading import EXAMPLES, load_experiment, shipped_examples
@@ -71,7 +78,7 @@ def test_all_of_advisors_experiments_can_work():
         assert set(drawn) <= numbers(experiment).keys()
 
 
-@pytest.mark.parametrize("example", [hand_manipulation, physics_locomotion])
+@pytest.mark.parametrize("example", [arm_point_nav, hand_manipulation, physics_locomotion])
 def test_all_of_a_bodys_experiments_can_work(example):
     for experiment in example.experiments.values():
         experiment.check()

@@ -89,6 +89,18 @@ class UnsureExpert(ReachEnd):
         return ExpertAction(jnp.int32(1), jnp.float32(1))
 
 
+@dataclasses.dataclass(frozen=True)
+class Branching(ReachEnd):
+    bonus: float = 1.0
+
+    def step(self, task_state, before, action, after):
+        task_state, outcome = super().step(task_state, before, action, after)
+        if self.bonus:
+            reward = {**outcome.reward, "bonus": jnp.float32(self.bonus)}
+            outcome = dataclasses.replace(outcome, reward=reward)
+        return task_state, outcome
+
+
 class Forgetful(RandomStart):
     def init(self, key):
         return jnp.float32(0)
@@ -111,6 +123,7 @@ class Forgetful(RandomStart):
         ("task", VectorFlag(), "terminated must be a bool scalar"),
         ("task", WildExpert(), "the expert's action is not in the action space"),
         ("task", UnsureExpert(), "the expert's `valid` must be a bool scalar"),
+        ("task", Branching(), "task.bonus decides in Python what is computed, but floats are data"),
         ("sampler", Forgetful(), "the sampler's update changes the structure"),
     ],
     ids=lambda x: type(x).__name__ if not isinstance(x, str | dict) else None,
