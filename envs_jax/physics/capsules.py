@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -22,6 +23,8 @@ from envs_jax.physics.models import mjx
 
 # Where a capsule stands so nearly upright, no way along the plane is along it.
 _UPRIGHT = 1e-6
+# The table is one for all threads.
+_LOCK = threading.RLock()
 
 
 @contextlib.contextmanager
@@ -32,12 +35,13 @@ def capsules_as_in_c() -> Iterator[None]:
     from mujoco.mjx._src.types import GeomType
 
     table, pair = collision_driver._COLLISION_FUNC, (GeomType.PLANE, GeomType.CAPSULE)
-    own = table[pair]
-    table[pair] = _collider()
-    try:
-        yield
-    finally:
-        table[pair] = own
+    with _LOCK:
+        own = table[pair]
+        table[pair] = _collider()
+        try:
+            yield
+        finally:
+            table[pair] = own
 
 
 @functools.cache
@@ -52,7 +56,8 @@ def _meet(plane: Any, capsule: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
     normal, axis = plane.mat[:, 2], capsule.mat[:, 2]
     along = axis - normal * jnp.dot(normal, axis)
     length = jnp.sqrt(jnp.sum(along**2))
-    # What `mju_makeFrame` takes instead: the world's y, or z if that is nearly the normal.
+    # Instead, the world's y along the plane, or z if y is nearly the normal. What C takes there
+    # comes from rounding.
     y, z = jnp.array([0.0, 1.0, 0.0]), jnp.array([0.0, 0.0, 1.0])
     other = jnp.where(jnp.abs(normal[1]) < 0.5, y, z)
     other -= normal * jnp.dot(normal, other)

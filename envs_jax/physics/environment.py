@@ -137,8 +137,8 @@ class Physics(Environment):
       extras: what of MuJoCo's data states have besides, of `EXTRAS`: "cinert" [nbody, 10], inertia
         of bodies about their tree's centre of mass; "cvel" [nbody, 6], their velocities there;
         "qfrc_actuator" [nv], the actuators' forces on the joints; "cfrc_ext" [nbody, 6], torque and
-        force from outside on bodies, 0 where an episode begins; "subtree_com" [nbody, 3], centres
-        of mass of bodies with all that hangs on them.
+        force from outside on bodies, 0 where an episode begins, but for models with sensors that
+        read it; "subtree_com" [nbody, 3], centres of mass of bodies with all that hangs on them.
 
     Raises:
       JaxactError: the model cannot be read or simulated, has no actuators or one without a range.
