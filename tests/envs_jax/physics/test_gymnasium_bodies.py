@@ -5,7 +5,7 @@ what they say differs by rounding, and where motion is chaotic that grows: the d
 compared while it has not, and what falls on its feet in every step anew.
 """
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ import pytest
 
 import envs_jax
 from envs_jax.physics.catalogue import BODIES
+from envs_jax.physics.environment import PhysicsState
 from jaxact.testing import check_pomdp
 
 gymnasium = pytest.importorskip("gymnasium")
@@ -105,6 +106,78 @@ def test_bodies_with_legs_step_as_gymnasiums(name):
     assert max(seen) < LEGS[name][1]
     assert max(paid) < 2e-3
     assert not ours.metrics["diverged"]
+
+
+@pytest.mark.parametrize("name", LEGS)
+def test_bodies_with_legs_are_paid_by_the_rules(name):
+    """From made-up states, with Gymnasium's formulas in NumPy; the reading has its order."""
+    pomdp = envs_jax.make(f"Physics-{name}-v0")
+    world, model = pomdp.environment, pomdp.environment.model
+    generator = np.random.default_rng(0)
+    sizes = {
+        "cinert": (model.nbody, 10),
+        "cvel": (model.nbody, 6),
+        "qfrc_actuator": (model.nv,),
+        "cfrc_ext": (model.nbody, 6),
+        "subtree_com": (model.nbody, 3),
+    }
+
+    def state(height):
+        position = generator.normal(size=model.nq)
+        position[2] = height
+        numbers = {"position": position, "velocity": generator.normal(size=model.nv)}
+        numbers["body_position"] = generator.normal(size=(model.nbody, 3))
+        empty = dict.fromkeys((x.name for x in fields(PhysicsState)), jnp.zeros(0))
+        extras = {x: 3 * generator.normal(size=sizes[x]) for x in world.extras}
+        made = {x: jnp.asarray(y, jnp.float32) for x, y in numbers.items()}
+        kept = {x: jnp.asarray(y, jnp.float32) for x, y in extras.items()}
+        diverged = jnp.bool_(False)
+        return (
+            PhysicsState(**empty | made | {"extras": kept, "diverged": diverged}),
+            extras,
+            numbers,
+        )
+
+    for height, is_well in ((0.5, name == "Ant"), (1.5, name == "Humanoid"), (2.5, False)):
+        (before, _, old), (after, extras, new) = state(1.0), state(height)
+        action = generator.uniform(-0.4, 0.4, model.nu).astype(np.float32)
+        _, outcome = pomdp.task.step(jnp.float32(0), before, jnp.asarray(action), after)
+        forces = extras["cfrc_ext"]
+        if name == "Ant":
+            gone = new["body_position"][1, 0] - old["body_position"][1, 0]
+            forces = np.clip(forces, -1, 1)
+            weights = 1.0, 0.5, 1.0
+            contact = 5e-4 * np.sum(forces**2)
+        else:
+            gone = extras["subtree_com"][0, 0] - float(before.extras["subtree_com"][0, 0])
+            weights = 1.25, 0.1, 5.0
+            contact = min(5e-7 * np.sum(forces**2), 10.0)
+        expected = {
+            "forward": weights[0] * gone / world.dt,
+            "control": -weights[1] * np.sum(action**2),
+            "contact": -contact,
+            "healthy": weights[2] * is_well,
+        }
+        assert outcome.reward.keys() == expected.keys()
+        for term, value in expected.items():
+            np.testing.assert_allclose(outcome.reward[term], value, rtol=1e-4)
+        assert bool(outcome.terminated) == (not is_well)
+    order = ("cinert", "cvel", "qfrc_actuator", "cfrc_ext")
+    parts = [new["position"][2:], new["velocity"]]
+    parts += [
+        (
+            extras[x][6:]
+            if x == "qfrc_actuator"
+            else forces[1:]
+            if x == "cfrc_ext"
+            else extras[x][1:]
+        )
+        for x in order
+        if x in extras
+    ]
+    reading = pomdp.sensors["joints"].observe(after, None)
+    np.testing.assert_allclose(reading, np.concatenate([x.ravel() for x in parts]), rtol=1e-5)
+    assert reading.shape == pomdp.sensors["joints"].space.shape
 
 
 def _standing(state, peer):
