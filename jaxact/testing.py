@@ -178,7 +178,7 @@ def _check_numbers(pomdp: POMDP, key: jax.Array, action: Any) -> None:
 
     try:
         jax.eval_shape(play, numbers(pomdp))
-    except jax.errors.ConcretizationTypeError as error:
+    except (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError) as error:
         found = re.search(r"the argument values\['([^']+)'\]", str(error))
         name = found[1] if found else "a float of the POMDP"
         raise AssertionError(

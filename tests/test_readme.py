@@ -95,12 +95,12 @@ def test_the_warm_start_is_a_patch_of_the_example(tmp_path):
     assert sum(stage.steps for stage in after.pipeline.stages) == before.pipeline.stages[0].steps
 
 
-@pytest.mark.slow
-def test_code_of_the_page_on_houses_runs(tmp_path):
-    code = code_of((REPOSITORY / "docs" / "houses.md").read_text(encoding="utf-8"))
+def code_of_page_runs(page, directory):
+    """Runs a page's code in a directory and returns what it printed."""
+    code = code_of((REPOSITORY / "docs" / page).read_text(encoding="utf-8"))
     finished = subprocess.run(
         [sys.executable, "-c", code],
-        cwd=tmp_path,
+        cwd=directory,
         env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
         stdin=subprocess.DEVNULL,
         capture_output=True,
@@ -108,5 +108,17 @@ def test_code_of_the_page_on_houses_runs(tmp_path):
         check=False,
     )
     assert finished.returncode == 0, finished.stderr
-    assert float(re.search(r"'mean': ([\d.]+)", finished.stdout)[1]) > 0.95
+    return finished.stdout
+
+
+@pytest.mark.slow
+def test_code_of_the_page_on_houses_runs(tmp_path):
+    printed = code_of_page_runs("houses.md", tmp_path)
+    assert float(re.search(r"'mean': ([\d.]+)", printed)[1]) > 0.95
     assert {path.name for path in tmp_path.iterdir()} == {"episodes.json.gz", "scenes.json.gz"}
+
+
+@pytest.mark.slow
+def test_code_of_the_page_on_worlds_runs(tmp_path):
+    printed = code_of_page_runs("worlds.md", tmp_path)
+    assert re.search(r"'mean': -?[\d.]+", printed.splitlines()[-1])

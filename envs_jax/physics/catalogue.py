@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -68,6 +69,7 @@ class _Body:
       sensor: of a world.
       horizon: steps.
       extras: what of MuJoCo's data is kept in the state.
+      solver: to take in place of the file's, which MJX does not have.
     """
 
     asset: str
@@ -77,6 +79,7 @@ class _Body:
     sensor: Callable[[Physics], Sensor]
     horizon: int = 1000
     extras: tuple[str, ...] = ()
+    solver: str | None = None
 
 
 def _noisy(position: float, velocity: float, normal: bool = False) -> Callable[..., TaskSampler]:
@@ -156,6 +159,7 @@ BODIES = {
         _noisy(0.01, 0.01),
         WholeBodySensor,
         extras=("cinert", "cvel", "qfrc_actuator", "cfrc_ext", "subtree_com"),
+        solver="Newton",
     ),
 }
 
@@ -175,9 +179,9 @@ def gymnasium_body(name: str, *, horizon: int | None = None) -> POMDP:
     """
     body = BODIES[name]
     source = gymnasium_asset(body.asset)
-    if name == "Humanoid":
-        # MJX does not have the solver that the file asks for, an older one of MuJoCo's.
-        source = Path(source).read_text().replace('solver="PGS"', 'solver="Newton"')
+    if body.solver:
+        text = Path(source).read_text(encoding="utf-8")
+        source = re.sub(r'solver="\w+"', f'solver="{body.solver}"', text)
     world = Physics(source, body.substeps, extras=body.extras)
     start = body.start(world, body.horizon if horizon is None else horizon)
     return POMDP(world, body.task(world), start, {"joints": body.sensor(world)})

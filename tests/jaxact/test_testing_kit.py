@@ -4,6 +4,7 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import envs_jax
@@ -101,6 +102,16 @@ class Branching(ReachEnd):
         return task_state, outcome
 
 
+@dataclasses.dataclass(frozen=True)
+class OnTheHost(ReachEnd):
+    bonus: float = 1.0
+
+    def step(self, task_state, before, action, after):
+        task_state, outcome = super().step(task_state, before, action, after)
+        reward = {**outcome.reward, "bonus": jnp.float32(np.sqrt(self.bonus))}
+        return task_state, dataclasses.replace(outcome, reward=reward)
+
+
 class Forgetful(RandomStart):
     def init(self, key):
         return jnp.float32(0)
@@ -124,6 +135,7 @@ class Forgetful(RandomStart):
         ("task", WildExpert(), "the expert's action is not in the action space"),
         ("task", UnsureExpert(), "the expert's `valid` must be a bool scalar"),
         ("task", Branching(), "task.bonus decides in Python what is computed, but floats are data"),
+        ("task", OnTheHost(), "task.bonus decides in Python what is computed"),
         ("sampler", Forgetful(), "the sampler's update changes the structure"),
     ],
     ids=lambda x: type(x).__name__ if not isinstance(x, str | dict) else None,
