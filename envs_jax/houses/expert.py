@@ -73,24 +73,73 @@ def walk(house: House, journey: Journey, state: HouseState, arrived: jax.Array) 
     stuck = jnp.min(left) > now - _GAIN
     left += jnp.where(stuck, luck[(heading + turns) % turns.shape[0]], 0)
     turn = turns[jnp.argmin(left + _TURN_COST * jnp.abs(turns).astype(jnp.float32))]
-    # Who leaves a corner must not go back to it.
-    detour = now - journey.nearest
-    searches = stuck | ((detour > _GAIN) & (detour < _DETOUR))
     close = (arrived > 0) & (2 * arrived < house.step_size) & (now < _CAREFUL)
     least = jnp.minimum(now, journey.nearest)
     enough = jnp.where(close, arrived, jnp.maximum(least - _PROGRESS, arrived))
     useful = jnp.where(close, arrived, jnp.maximum(least - _GAIN, arrived))
+    # Who leaves a corner must not go back to it; who has only strayed need not search.
+    detour = now - journey.nearest
+    strayed = (detour > _GAIN) & (detour < _DETOUR) & ~stuck & (now > arrived)
+
+    def look_back(_: Any, known: Any) -> Any:
+        return ~_leads_on(house, *known), jnp.bool_(False)
+
+    here = field, boxes, state.position, state.yaw
+    cornered = while_loop_for_few(
+        lambda carry, _: carry[1], look_back, (strayed, strayed), (*here, now, useful)
+    )[0]
+    searches = stuck | cornered
 
     def look_ahead(carry: Any, known: Any) -> Any:
         *known, useful = known
         left, there = _search(house, *known)
         return jnp.where(left <= useful, there, carry[0]), jnp.bool_(False)
 
-    known = field, boxes, state.position, state.yaw, enough, useful
+    known = (*here, enough, useful)
     carry = turn, (searches | close) & (now > arrived)
     turn, _ = while_loop_for_few(lambda carry, _: carry[1], look_ahead, carry, known)
     names = ("rotate_left", "move_ahead", "rotate_right")
     return jnp.array([house.actions.index(name) for name in names], jnp.int32)[jnp.sign(turn) + 1]
+
+
+def _leads_on(
+    house: House,
+    field: GoalField,
+    boxes: jax.Array,
+    position: jax.Array,
+    yaw: jax.Array,
+    now: jax.Array,
+    useful: jax.Array,
+) -> jax.Array:
+    """Returns a bool scalar: whether few steps, each to where least is left, lead near enough.
+
+    That is far less work than to search.
+
+    Args:
+      house: the dynamics.
+      field: of a few nodes, see `geodesic.nearby`.
+      boxes: float32 [N, 8], obstacles.
+      position: float32 [2], where to set out.
+      yaw: float32 scalar, degrees.
+      now: float32 scalar, metres that are left there.
+      useful: float32 scalar, metres that may be left.
+    """
+    boxes, moves = _around(boxes, position), _moves(house, yaw)
+
+    def go_on(
+        carry: tuple[jax.Array, jax.Array, jax.Array, jax.Array],
+    ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        depth, place, left, _ = carry
+        after, _, lefts = jax.vmap(lambda move: _step(house, field, boxes, place, move))(moves)
+        row = jnp.argmin(lefts)
+        return depth + 1, after[row], lefts[row], lefts[row] > left - _GAIN
+
+    def goes_on(carry: tuple[jax.Array, jax.Array, jax.Array, jax.Array]) -> jax.Array:
+        depth, _, left, stuck = carry
+        return (depth < _DEPTH) & (left > useful) & ~stuck
+
+    begin = jnp.int32(0), position, now, jnp.bool_(False)
+    return jax.lax.while_loop(goes_on, go_on, begin)[2] <= useful
 
 
 def _search(
@@ -118,24 +167,12 @@ def _search(
       The float32 metres that are left at the end of the walk, those of the best if none leads near
       enough, and the int32 turns to the right that it begins with.
     """
-    radius = house.body.radius
-    away, _ = clearance(boxes, position)
-    _, rows = jax.lax.top_k(-away, min(_BOXES, boxes.shape[0]))
-    boxes = boxes[rows]
-    turns = _turns(house)
-    moves = jnp.float32(house.step_size) * forward(
-        yaw + turns.astype(jnp.float32) * jnp.float32(house.turn)
-    )
-
-    def step(place: jax.Array, move: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        after, _ = house.move(boxes, place, move)
-        moved = jnp.sqrt(jnp.sum((after - place) ** 2))
-        left = jnp.min(ways(boxes, radius, after, field.nodes) + field.lengths)
-        return after, moved, jnp.where(moved < 1e-3, jnp.inf, left)
+    boxes = _around(boxes, position)
+    turns, moves = _turns(house), _moves(house, yaw)
 
     def go_on(carry: _Frontier) -> _Frontier:
         after, moved, left = jax.vmap(
-            lambda place: jax.vmap(lambda move: step(place, move))(moves)
+            lambda place: jax.vmap(lambda move: _step(house, field, boxes, place, move))(moves)
         )(carry.places)
         after, left = after.reshape(-1, 2), left.reshape(-1)
         walked = (carry.walked[:, None] + moved).reshape(-1)
@@ -182,6 +219,33 @@ def _search(
         lambda carry: (carry.depth < _DEPTH) & (carry.cost > carry.bound - enough), go_on, begin
     )
     return end.left, end.first
+
+
+def _around(boxes: jax.Array, position: jax.Array) -> jax.Array:
+    """Returns the obstacles of [N, 8] that a search from a plan reckons with, the nearest."""
+    away, _ = clearance(boxes, position)
+    return boxes[jax.lax.top_k(-away, min(_BOXES, boxes.shape[0]))[1]]
+
+
+def _moves(house: House, yaw: jax.Array) -> jax.Array:
+    """Returns a step ahead, float32 [T, 2], in each heading that turns (see `_turns`) lead to."""
+    angles = yaw + _turns(house).astype(jnp.float32) * jnp.float32(house.turn)
+    return jnp.float32(house.step_size) * forward(angles)
+
+
+def _step(
+    house: House, field: GoalField, boxes: jax.Array, place: jax.Array, move: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Takes a step from a plan [2].
+
+    Returns:
+      Where it leads [2], how far that is, and the metres left there, infinite if it is nowhere.
+    """
+    radius = house.body.radius
+    after, _ = house.move(boxes, place, move)
+    moved = jnp.sqrt(jnp.sum((after - place) ** 2))
+    left = jnp.min(ways(boxes, radius, after, field.nodes) + field.lengths)
+    return after, moved, jnp.where(moved < 1e-3, jnp.inf, left)
 
 
 class _Frontier(NamedTuple):
