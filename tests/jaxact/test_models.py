@@ -150,7 +150,9 @@ def test_lstm_is_flaxs_lstm_cell_with_forget_bias_one():
     np.testing.assert_allclose(memory[0], new_c, atol=1e-6)
 
 
-@pytest.mark.parametrize(("stride", "size", "side"), [(1, 3, 7), (2, 3, 8), (2, 4, 9), (4, 8, 21)])
+@pytest.mark.parametrize(
+    ("stride", "size", "side"), [(1, 3, 7), (2, 3, 8), (2, 4, 9), (4, 8, 21), (3, 2, 8)]
+)
 def test_convolution_and_its_gradients_are_xlas(stride, size, side):
     x, kernel = normal(0, 2, side, side + 1, 3), normal(1, size, size, 3, 5)
 
@@ -168,6 +170,21 @@ def test_convolution_and_its_gradients_are_xlas(stride, size, side):
     theirs = jax.jit(jax.grad(summed(reference), (0, 1)))(x, kernel)
     for a, b in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+def test_gradients_of_convolutions_stay_on_the_fast_path(stride):
+    x, kernel = normal(0, 2, 9, 9, 3), normal(1, 3, 3, 3, 5)
+    y, pullback = jax.vjp(lambda x, kernel: convolve(x, kernel, stride), x, kernel)
+    convolutions = [
+        equation.params
+        for equation in jax.make_jaxpr(pullback)(y).jaxpr.eqns
+        if equation.primitive.name == "conv_general_dilated"
+    ]
+    # The gradient by the image; that by the kernel is made of products.
+    assert len(convolutions) == 1
+    assert convolutions[0]["lhs_dilation"] == (1, 1)
+    assert convolutions[0]["padding"] == ((0, 0), (0, 0))
 
 
 SPACES = {
