@@ -25,9 +25,31 @@ def test_pairs_are_compared_as_pairs():
     assert found["difference"]["interval"] == pytest.approx(expected.confidence_interval(0.95))
 
 
+def test_draws_that_are_recorded_are_not_trained_again(tmp_path, monkeypatch):
+    trained = []
+
+    def train(method, draws, arguments):
+        trained.append([x.learning_rate for x in draws])
+        return [
+            record(i, x.advisor) | {"numbers": {advisor_pairs.RATE: x.learning_rate}}
+            for i, x in enumerate(draws)
+        ]
+
+    draws = advisor_pairs.DRAWS
+    monkeypatch.setattr(advisor_pairs, "_train", train)
+    arguments = advisor_pairs.Arguments(("advisor",), output=tmp_path)
+    for some in (draws[1:3], draws[:4], draws[:4]):
+        monkeypatch.setattr(advisor_pairs, "DRAWS", some)
+        advisor_pairs.pair(arguments)
+    assert trained == [[x.learning_rate for x in y] for y in (draws[1:3], (draws[0], draws[3]))]
+    found = json.loads((tmp_path / "advisor_pairs.json").read_text())["methods"]["advisor"]
+    assert found["ours"] == found["published"] == pytest.approx([x.advisor for x in draws[:4]])
+    assert [x["draw"] for x in found["records"]] == [0, 1, 2, 3]
+
+
 @pytest.mark.skipif(not RUNS.is_dir(), reason="the published random searches are not here")
-@pytest.mark.parametrize("method", advisor_pairs.PUBLISHED)
-def test_the_draws_are_ten_of_the_published_ones(method):
+@pytest.mark.parametrize("method", advisor_pairs.METHODS)
+def test_the_draws_are_the_published_ones(method):
     path = RUNS / f"random_hp_search_runs_{TASKS[advisor_pairs.WORLD]}.tsv.gz"
     with gzip.open(path, "rt") as file:
         rows = [
@@ -36,15 +58,15 @@ def test_the_draws_are_ten_of_the_published_ones(method):
             if row["exp_type"] == NAMES.get(method, method)
         ]
     rows = sorted((row for row in rows if 2e-4 <= float(row["lr"]) <= 1e-2), key=rate)
-    rows = [rows[i] for i in np.linspace(0, len(rows) - 1, 10).round().astype(int)]
-    assert pytest.approx([rate(row) for row in rows]) == advisor_pairs.LEARNING_RATES
+    draws = advisor_pairs.DRAWS
+    assert pytest.approx([rate(row) for row in rows]) == [x.learning_rate for x in draws]
     others = [json.loads(row["config_kwargs_str"]) for row in rows]
     if method == "advisor":
-        assert list(advisor_pairs.ALPHAS) == [x["FIXED_ALPHA"] for x in others]
+        assert [x.alpha for x in draws] == [x["FIXED_ALPHA"] for x in others]
     else:
-        assert pytest.approx([x["TF_RATIO"] for x in others]) == advisor_pairs.WARM_STARTS
+        assert pytest.approx([x["TF_RATIO"] for x in others]) == [x.warm_start for x in draws]
     last = [json.loads(row["reward"])[-1] for row in rows]
-    assert advisor_pairs.PUBLISHED[method] == pytest.approx(last, abs=6e-4)
+    assert [getattr(x, method) for x in draws] == pytest.approx(last, abs=6e-4)
 
 
 def rate(row):
