@@ -159,7 +159,7 @@ def _train(method: str, draws: Sequence[Draw], arguments: Arguments) -> list[dic
     return [record | {"commit": this_commit()} for record in found.records]
 
 
-def compare(records: Sequence[Mapping[str, Any]], published: Sequence[float]) -> dict[str, Any]:
+def compare(records: Sequence[dict[str, Any]], published: Sequence[float]) -> dict[str, Any]:
     """Returns the returns of draws, those published, and the mean difference with its interval.
 
     Args:
