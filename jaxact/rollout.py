@@ -35,7 +35,8 @@ class EpisodeQueue:
       served: int32 [B], how many of the stream were taken.
       drawn: int32 [B], how many of the stream were sampled; the last drawn - served are waiting.
       episodes: [B, Q].
-      observations: first observation of each, [B, Q, ...].
+      observations: first observation of each, its arrays laid out as vectors, [B, Q, n]. XLA would
+        else keep pictures in one layout, gather from another one, and copy them all at every step.
     """
 
     key: jax.Array
@@ -133,7 +134,8 @@ def refill(
 
     def sample(key: jax.Array, index: jax.Array) -> tuple[Episode, dict[str, jax.Array]]:
         episode = pomdp.sampler.sample(jax.random.fold_in(key, index), sampler_state)
-        return episode, pomdp.observe(pomdp.begin(episode))
+        observation = pomdp.observe(pomdp.begin(episode))
+        return episode, jax.tree.map(jnp.ravel, observation)
 
     def draw(places: jax.Array, rows: jax.Array, waiting: PyTree) -> tuple[jax.Array, PyTree]:
         new = jax.vmap(sample)(queue.key[rows // length], index.reshape(-1)[rows])
@@ -200,7 +202,10 @@ def _take(
 
     def take(places: jax.Array, rows: jax.Array, now: PyTree) -> tuple[jax.Array, PyTree]:
         index = rows * queue.length + place[rows]
-        episode, first_observation = jax.tree.map(lambda x: x[index], waiting)
+        episode, vectors = jax.tree.map(lambda x: x[index], waiting)
+        first_observation = jax.tree.map(
+            lambda x, like: x.reshape(*index.shape, *like.shape[1:]), vectors, observation
+        )
         new = (jax.vmap(pomdp.begin)(episode), first_observation)
         return jnp.zeros_like(places, bool), put_rows(now, places, new)
 
@@ -249,6 +254,7 @@ def start_lanes(
     observation = jax.eval_shape(pomdp.observe, state)
     action = pomdp.action_space.structure
     _, step = jax.eval_shape(pomdp.step, lane_keys[0], state, action)
+    vectors = jax.eval_shape(lambda tree: jax.tree.map(jnp.ravel, tree), observation)
 
     def nothing_like(tree: PyTree, *lead: int) -> PyTree:
         return jax.tree.map(lambda x: jnp.zeros((*lead, *x.shape), x.dtype), tree)
@@ -258,7 +264,7 @@ def start_lanes(
         served=none,
         drawn=none,
         episodes=nothing_like(episode, lanes, queue_length),
-        observations=nothing_like(observation, lanes, queue_length),
+        observations=nothing_like(vectors, lanes, queue_length),
     )
     return Lanes(
         key=lane_keys,

@@ -9,8 +9,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from envs_jax.houses import rays
 from envs_jax.houses.camera import Camera, Pose, eye
-from envs_jax.houses.rays import CEILING, FIRST_BOX, FLOOR, NOTHING, locate, look
+from envs_jax.houses.rays import CEILING, FIRST_BOX, FLOOR, NOTHING, View, locate, look
 from envs_jax.houses.scene import Scene, box
 from jaxact.errors import JaxactError
 from tests.envs_jax.houses import random_scenes
@@ -246,6 +247,49 @@ def test_frames_do_not_depend_on_the_batch() -> None:
         np.testing.assert_allclose(hits.depth, hits_alone.depth, rtol=1e-6)
         np.testing.assert_allclose(hits.u, hits_alone.u, atol=2e-6)
         np.testing.assert_allclose(hits.v, hits_alone.v, atol=2e-6)
+
+
+@pytest.mark.parametrize("rays_at_once", [1, 3 * CAMERA.height * CAMERA.width])
+def test_frames_do_not_depend_on_those_taken_with_them(monkeypatch, rays_at_once: int) -> None:
+    states = [random_scenes.state(seed) for seed in range(7)]
+    batch = random_scenes.stacked([(eye(s, random_scenes.BODY), s.scene) for s in states])
+    expected = jax.device_get(jax.jit(jax.vmap(lambda pair: look(CAMERA, *pair)))(batch))
+    monkeypatch.setattr(rays, "_RAYS_AT_ONCE", rays_at_once)
+    found = jax.device_get(jax.jit(jax.vmap(lambda pair: look(CAMERA, *pair)))(batch))
+    jax.tree.map(np.testing.assert_array_equal, found, expected)
+
+
+def test_boxes_out_of_sight_are_left_out_and_would_not_be_seen(monkeypatch) -> None:
+    states = [
+        random_scenes.state(seed, pitch=pitch)
+        for seed in range(8)
+        for pitch in (-88.0, -45.0, 0.0, 30.0, 70.0)
+    ]
+    batch = random_scenes.stacked([(eye(s, random_scenes.BODY), s.scene) for s in states])
+
+    def looked() -> View:
+        return jax.device_get(jax.jit(jax.vmap(lambda pair: look(CAMERA, *pair)))(batch))
+
+    def in_sight(pose: Pose, scene: Scene) -> jax.Array:
+        return rays._in_sight(pose, CAMERA.rays(pose.pitch), scene.boxes)
+
+    kept = np.asarray(jax.jit(jax.vmap(in_sight))(*batch)).reshape(8, 5, -1)
+    steep, level = kept[:, [0, 4]], kept[:, 2:4]
+    assert np.all(steep)
+    assert 0.1 < level.mean() < 0.4
+    found = looked()
+    monkeypatch.setattr(rays, "_in_sight", lambda pose, rays, boxes: jnp.ones(len(boxes), bool))
+    jax.tree.map(np.testing.assert_array_equal, found, looked())
+
+
+def test_the_first_of_a_mask() -> None:
+    mask = np.random.default_rng(0).random((5, 9)) < [[0.0], [0.2], [0.5], [0.8], [1.0]]
+    order, count = jax.device_get(rays._first_those(jnp.asarray(mask)))
+    assert order.shape == (5, 10)
+    np.testing.assert_array_equal(count, mask.sum(axis=1))
+    for row, those, many in zip(mask, order, count, strict=True):
+        np.testing.assert_array_equal(those[:many], np.flatnonzero(row))
+        assert not np.any(those[many:])
 
 
 def test_depth_can_be_differentiated() -> None:

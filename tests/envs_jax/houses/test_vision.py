@@ -129,7 +129,7 @@ def test_sensors_share_the_rays_of_a_camera(states) -> None:
         compiled = jax.jit(readings).lower(states[0]).compile()
         return compiled.as_text().count(" while(")
 
-    assert count_loops(shared) == 1
+    assert count_loops(shared) == count_loops(shared[:1]) > 0
 
 
 @pytest.mark.slow
