@@ -23,6 +23,7 @@ def test_pairs_are_compared_as_pairs():
     expected = stats.ttest_rel(ours, published)
     assert found["difference"]["mean"] == pytest.approx(np.mean(ours) - np.mean(published))
     assert found["difference"]["interval"] == pytest.approx(expected.confidence_interval(0.95))
+    assert found["best_of_10"] == pytest.approx({"ours": 0.9, "published": 0.7})
 
 
 def test_draws_that_are_recorded_are_not_trained_again(tmp_path, monkeypatch):
