@@ -14,6 +14,7 @@ pictures those in which about as many are left are taken together, so that none 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -32,8 +33,9 @@ NOTHING, FLOOR, CEILING, FIRST_BOX = 0, 1, 2, 3
 
 # Boxes that one pass takes; more was measured to be no faster.
 _UNROLL = 2
-# Of the pictures that are taken together, on a CPU: what they carry stays in its cache.
-_RAYS_AT_ONCE = 1 << 13
+# Of the pictures that are taken together, for each of a CPU's cores that a device has: what they
+# carry stays in its cache.
+_RAYS_A_CORE = 1 << 14
 # Metres by which a box has to be out of sight, so that rounding never hides one.
 _MARGIN = np.float32(1e-2)
 # The least share of a ray that goes ahead, of those by which boxes are told to be out of sight.
@@ -249,7 +251,8 @@ def _pictures_at_once(camera: Camera, pictures: int) -> int:
     """Returns how many pictures are taken together, each as long as any of them sees more boxes."""
     if jax.default_backend() != "cpu":
         return pictures
-    return max(1, min(pictures, _RAYS_AT_ONCE // (camera.height * camera.width)))
+    rays = _RAYS_A_CORE * max(1, (os.cpu_count() or 1) // jax.local_device_count())
+    return max(1, min(pictures, rays // (camera.height * camera.width)))
 
 
 def _first_those(mask: jax.Array) -> tuple[jax.Array, jax.Array]:

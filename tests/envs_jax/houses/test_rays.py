@@ -249,12 +249,12 @@ def test_frames_do_not_depend_on_the_batch() -> None:
         np.testing.assert_allclose(hits.v, hits_alone.v, atol=2e-6)
 
 
-@pytest.mark.parametrize("rays_at_once", [1, 3 * CAMERA.height * CAMERA.width])
-def test_frames_do_not_depend_on_those_taken_with_them(monkeypatch, rays_at_once: int) -> None:
+@pytest.mark.parametrize("rays_a_core", [1, 3 * CAMERA.height * CAMERA.width])
+def test_frames_do_not_depend_on_those_taken_with_them(monkeypatch, rays_a_core: int) -> None:
     states = [random_scenes.state(seed) for seed in range(7)]
     batch = random_scenes.stacked([(eye(s, random_scenes.BODY), s.scene) for s in states])
     expected = jax.device_get(jax.jit(jax.vmap(lambda pair: look(CAMERA, *pair)))(batch))
-    monkeypatch.setattr(rays, "_RAYS_AT_ONCE", rays_at_once)
+    monkeypatch.setattr(rays, "_RAYS_A_CORE", rays_a_core)
     found = jax.device_get(jax.jit(jax.vmap(lambda pair: look(CAMERA, *pair)))(batch))
     jax.tree.map(np.testing.assert_array_equal, found, expected)
 
