@@ -118,7 +118,7 @@ class TargetBank:
     Attributes:
       bank: the houses.
       fields: with leading axes [S, T].
-      findable: bool [S, T], whether there is such a place.
+      findable: bool [S, T], whether there is such a place and the agent can walk to it.
       lattices: with leading axes [S, T], the shortest walks there; None where the agent does not
         stay on a lattice.
     """
@@ -179,7 +179,12 @@ class ObjectNavSampler(TaskSampler):
             def survey(target: jax.Array) -> tuple[GoalField, jax.Array, Lattice | None]:
                 places, present = self.task.goals(scene, target)
                 field = goal_field(roadmap, blocked, body.radius, places, present)
-                return field, jnp.any(present), self.task.survey(scene, target)
+                lattice = self.task.survey(scene, target)
+                findable = jnp.any(present)
+                if lattice is not None:
+                    # It may be seen from places alone that no step leads to.
+                    findable &= jnp.any(lattice.moves == lattices.AHEAD)
+                return field, findable, lattice
 
             return jax.lax.map(survey, self._targets)
 

@@ -8,7 +8,7 @@ import pytest
 from small_houses import cluttered
 
 import envs_jax
-from envs_jax.houses import categories
+from envs_jax.houses import categories, lattice
 from envs_jax.houses.bank import GeneratedScenes, ImportedScenes, stack
 from envs_jax.houses.collision import is_free, obstacles
 from envs_jax.houses.environment import House
@@ -93,6 +93,17 @@ def test_parts_that_disagree_are_refused(changes: tuple[str, ...], said: str) ->
         override(pomdp, changes)
     alike = [f"{part}.turn=10.0" for part in ("environment", "task.house", "sampler.task.house")]
     assert override(pomdp, alike).environment.turn == 10
+
+
+@pytest.mark.slow
+def test_targets_seen_from_pockets_alone_are_not_asked_for() -> None:
+    sampler = envs_jax.make("iTHOR-ObjectNav-v0").sampler.held_out
+    bank = jax.jit(sampler.init)(jax.random.key(0))
+    findable, moves = np.asarray(bank.findable), np.asarray(bank.lattices.moves)
+    sees, walks = ((moves == move).any((2, 3, 4)) for move in (lattice.SEES, lattice.AHEAD))
+    assert (sees & ~walks).any()
+    assert not (findable & ~walks).any()
+    assert findable.sum() > 0.8 * sees.sum()
 
 
 @pytest.mark.slow
