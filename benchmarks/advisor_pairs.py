@@ -5,7 +5,8 @@ lava with the learning rates and the other numbers of the published draws, and e
 set beside the published one. The draws are all of those of learning rates between 2e-4 and 1e-2,
 outside of which hardly any of the published ones learnt. `docs/results/advisor_pairs.json` has the
 draws, their mean difference with Student's 95 % interval over the draws, and the mean best of ten
-of them. Draws that it has are not trained again.
+of them; and how far ADVISOR is ahead of each other method at the same learning rates, here and as
+published. Draws that it has are not trained again.
 
 Published are the runs of L. Weihs et al., "Bridging the imitation gap by adaptive insubordination",
 NeurIPS 2021, with the seeds that these had; ours have seed 0.
@@ -106,7 +107,7 @@ def main() -> None:
 
 
 def pair(arguments: Arguments) -> None:
-    """Trains one method after the other, and writes after each.
+    """Trains one method after the other, writes after each, and prints what came of all.
 
     Raises:
       JaxactError: there is no such method.
@@ -131,6 +132,7 @@ def pair(arguments: Arguments) -> None:
             "records": records,
         }
         _write(done, path)
+    _print(done)
 
 
 def _is_of(draw: Draw, record: Mapping[str, Any]) -> bool:
@@ -166,7 +168,7 @@ def compare(records: Sequence[dict[str, Any]], published: Sequence[float]) -> di
       records: of the draws, in order.
       published: the last returns of the same draws.
     """
-    from jaxact.statistics import expected_best, mean_interval
+    from jaxact.statistics import expected_best
     from jaxact.sweep_report import draw_scores
 
     ours = draw_scores(records, METRIC)
@@ -174,7 +176,7 @@ def compare(records: Sequence[dict[str, Any]], published: Sequence[float]) -> di
     return {
         "ours": ours.tolist(),
         "published": list(published),
-        "difference": {"mean": difference.mean(), "interval": mean_interval(difference)},
+        "difference": _mean(difference),
         "best_of_10": {
             "ours": expected_best(ours, min(BEST_OF, len(ours))),
             "published": expected_best(published, min(BEST_OF, len(ours))),
@@ -182,26 +184,59 @@ def compare(records: Sequence[dict[str, Any]], published: Sequence[float]) -> di
     }
 
 
+def advisor_ahead(methods: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Returns by how much ADVISOR's returns are above those of each other method, draw by draw.
+
+    Args:
+      methods: what `compare` found for each, of the same draws.
+    """
+    return {
+        method: {
+            side: _mean(np.subtract(methods["advisor"][side], found[side]))
+            for side in ("ours", "published")
+        }
+        for method, found in methods.items()
+        if method != "advisor" and "advisor" in methods
+    }
+
+
+def _mean(values: np.ndarray) -> dict[str, Any]:
+    from jaxact.statistics import mean_interval
+
+    return {"mean": values.mean(), "interval": mean_interval(values)}
+
+
 def _write(methods: Mapping[str, Any], path: Path) -> None:
     from jaxact.runs import versions
 
-    for method, found in methods.items():
-        ours, there = (sum(found[x]) / len(found[x]) for x in ("ours", "published"))
-        (low, high), best = found["difference"]["interval"], found["best_of_10"]
-        print(
-            f"{method:18} {len(found['ours'])} draws: mean {ours:.3f}, published {there:.3f}; "
-            f"difference {found['difference']['mean']:+.3f} [{low:+.3f}, {high:+.3f}]; best of "
-            f"{BEST_OF} {best['ours']:.3f}, published {best['published']:.3f}"
-        )
     result = {
         "name": "advisor_pairs",
         "command": "python -m benchmarks.advisor_pairs",
         "metric": f"{METRIC} at the last evaluation",
         "versions": versions(),
+        "advisor_ahead": advisor_ahead(methods),
         "methods": methods,
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(result, indent=1) + "\n")
+
+
+def _print(methods: Mapping[str, Any]) -> None:
+    for method, found in methods.items():
+        ours, there = (sum(found[x]) / len(found[x]) for x in ("ours", "published"))
+        best = found["best_of_10"]
+        print(
+            f"{method:18} {len(found['ours'])} draws: mean {ours:.3f}, published {there:.3f}; "
+            f"difference {_text(found['difference'])}; best of {BEST_OF} {best['ours']:.3f}, "
+            f"published {best['published']:.3f}"
+        )
+    for method, ahead in advisor_ahead(methods).items():
+        print(f"advisor - {method}: {_text(ahead['ours'])}, published {_text(ahead['published'])}")
+
+
+def _text(mean: Mapping[str, Any]) -> str:
+    low, high = mean["interval"]
+    return f"{mean['mean']:+.3f} [{low:+.3f}, {high:+.3f}]"
 
 
 if __name__ == "__main__":

@@ -26,6 +26,18 @@ def test_pairs_are_compared_as_pairs():
     assert found["best_of_10"] == pytest.approx({"ours": 0.9, "published": 0.7})
 
 
+def test_methods_are_compared_draw_by_draw():
+    rng = np.random.default_rng(0)
+    values = {m: {x: rng.random(5) for x in ("ours", "published")} for m in ("advisor", "other")}
+    found = advisor_pairs.advisor_ahead(values)
+    assert list(found) == ["other"]
+    for side, ahead in found["other"].items():
+        expected = stats.ttest_rel(values["advisor"][side], values["other"][side])
+        assert ahead["interval"] == pytest.approx(expected.confidence_interval(0.95))
+    assert found["other"]["ours"] != found["other"]["published"]
+    assert advisor_pairs.advisor_ahead({"other": values["other"]}) == {}
+
+
 def test_draws_that_are_recorded_are_not_trained_again(tmp_path, monkeypatch):
     trained = []
 
