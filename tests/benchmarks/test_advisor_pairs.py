@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 from benchmarks import advisor_pairs
+from benchmarks.advisor_study import PUBLISHED
 from tests.benchmarks.test_advisor_study import NAMES, RUNS, TASKS
 
 
@@ -24,6 +25,10 @@ def test_pairs_are_compared_as_pairs():
     assert found["difference"]["mean"] == pytest.approx(np.mean(ours) - np.mean(published))
     assert found["difference"]["interval"] == pytest.approx(expected.confidence_interval(0.95))
     assert found["best_of_10"] == pytest.approx({"ours": 0.9, "published": 0.7})
+    # Ten of 50 hold the best of three with a probability of 1/5, or only the next, or the last.
+    first, second, third = 1 / 5, 4 / 5 * 10 / 49, 4 / 5 * 39 / 49 * 10 / 48
+    expected = 0.9 * first + 0.4 * second + 0.2 * third
+    assert found["best_of_10_of_50"]["ours"] == pytest.approx(expected)
 
 
 def test_methods_are_compared_draw_by_draw():
@@ -80,6 +85,10 @@ def test_the_draws_are_the_published_ones(method):
         assert pytest.approx([x["TF_RATIO"] for x in others]) == [x.warm_start for x in draws]
     last = [json.loads(row["reward"])[-1] for row in rows]
     assert [getattr(x, method) for x in draws] == pytest.approx(last, abs=6e-4)
+    # The draws that are left out hardly matter.
+    records = [record(i, x) for i, x in enumerate(last)]
+    best = advisor_pairs.compare(records, last)["best_of_10_of_50"]["published"]
+    assert best == pytest.approx(PUBLISHED[advisor_pairs.WORLD][method].mean, abs=2e-3)
 
 
 def rate(row):
